@@ -1,0 +1,197 @@
+"""The configuration: a frozen tree of dataclasses, loaded from YAML once, every default a value."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from vislam.errors import ConfigError
+from vislam.repair import axes_rotation
+from vislam.simulation.settings import (
+    STRICT,
+    NonNegative,
+    Positive,
+    Probability,
+    SimulationConfig,
+    Vector3,
+)
+
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ReferenceConfig:
+    """What a recorded run is scored against."""
+
+    file: str
+    """File name, searched for where the recording is."""
+    format: Literal["planar_xy", "kitti_cam"]
+    """``planar_xy``: lines of frame, x, y. ``kitti_cam``: 12 numbers a line, left camera poses."""
+    name: str
+    """Its name, as the report prints it."""
+    limits: str
+    """What it does not tell."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class DataConfig:
+    """Where the data comes from and how it is to be read and repaired."""
+
+    file: str | None = None
+    """Recorded course file (.npz); null for a simulation."""
+    simulation: SimulationConfig | None = None
+    """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
+    invert_extrinsic: bool = False
+    """Take the stored extrinsic for its inverse."""
+    body_axes: tuple[str, str, str] = ("x", "y", "z")
+    """The velocities' body axes in those of the extrinsic."""
+    camera_position_imu: Vector3 | None = None
+    """Left camera in the body frame in place of the file's [m]; null keeps the file's."""
+    baseline: Positive | None = None
+    """Stereo baseline in place of the file's [m]; null keeps the file's."""
+    velocity: Literal["body", "levelled"] = "body"
+    """``levelled``: the third velocity component is the climb rate, not the body's own."""
+    clock_offset: float = 0.0
+    """How late the inertial stamps are against the camera's [s]."""
+    cut_stale_tracks: bool = True
+    """Start new landmarks in frames that repeat the pixels of the frame before."""
+    min_disparity_px: Positive = 2.5
+    """Smallest disparity at which a track may start [px]."""
+    max_row_difference_px: Positive = 2.0
+    """Largest difference of the left and the right row [px]."""
+    consensus_threshold: Positive | None = 5.0
+    """Cut a track where its step is this many robust deviations off the frame's rigid motion; null: never."""
+    reference: ReferenceConfig | None = None
+    """Reference trajectory of the recording, or null."""
+
+    def __post_init__(self) -> None:
+        """Refuse axes that form no proper turn, and a section without any data."""
+        axes_rotation(self.body_axes)
+        if self.file is None and self.simulation is None:
+            raise ValueError("one of file and simulation must be given")
+
+
+Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class NoiseConfig:
+    """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
+
+    pixel_sigma_px: Positive = 1.0
+    """Noise of uL and uR [px]; that of the mean row is smaller by sqrt(2)."""
+    pixel_growth_px: NonNegative = 0.0
+    """Growth of that noise along a track, added in quadrature a frame [px]."""
+    twist_density: Six = (1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02)
+    """White noise of the inertial twist [rad/sqrt(s), m/sqrt(s)]."""
+    bias_sigma: Six = (0.02, 0.02, 0.02, 0.1, 0.05, 0.02)
+    """Prior standard deviation of its bias [rad/s, m/s]."""
+    bias_mean: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Prior mean of its bias [rad/s, m/s]."""
+    bias_walk: Six = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4, 5e-4)
+    """Random walk of its bias [rad/s/sqrt(s), m/s/sqrt(s)]."""
+    first_pose_sigma: Six = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
+    """Prior standard deviation of the first pose [rad, m]; it fixes the gauge."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Config:
+    """One comparison."""
+
+    name: str
+    """Name of the comparison."""
+    data: DataConfig
+    """The data."""
+    noise: NoiseConfig = NoiseConfig()
+    """Noise and prior of every estimator."""
+    gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
+    """Share of good observations that the chi-square gate lets pass."""
+    gates_from: str | None = "ekf"
+    """Estimator whose gate decisions hold for all that run after it; null: each for itself."""
+    estimators: dict[str, dict[str, Any]] = field(
+        default_factory=lambda: {"dead_reckoning": {}, "ekf": {}, "isam2": {}}
+    )
+    """The estimators in the order they run, each with its own options."""
+    blas_threads: Annotated[int, Field(ge=1)] = 1
+    """Threads of the linear algebra; the matrices are small."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of whatever is simulated."""
+
+
+def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
+    """Load a configuration file.
+
+    Parameters
+    ----------
+    path : Path
+    overrides : mapping of str to Any
+        Values by dotted path, as ``{"noise.pixel_sigma_px": 2}``.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, a key is unknown or a value is out of range.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        line = str(error).splitlines()[0]
+        raise ConfigError(f"{path}: not a YAML file ({line})") from None
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
+    for dotted, value in (overrides or {}).items():
+        _set(tree, dotted, value)
+    return parse(Config, tree)
+
+
+def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
+    """Turn plain data into a dataclass; a ConfigError names the dotted path, what is wrong and what came."""
+    try:
+        return TypeAdapter(kind).validate_python(tree)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join([*([at] if at else []), *(str(part) for part in first["loc"])])
+        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            raise ConfigError(f"{where}: unknown key; {_known(kind, first['loc'])}") from None
+        message = re.sub(r"^Value error, ", "", first["msg"])
+        got = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
+        raise ConfigError(f"{where or 'config'}: {message}{got}") from None
+
+
+def dump(config: Config) -> str:
+    """YAML of the effective configuration, defaults filled in."""
+    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)  # type: ignore[call-overload]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _known(kind: Any, location: tuple[int | str, ...]) -> str:
+    """Say which keys the section of an unknown key has."""
+    for part in location[:-1]:
+        annotation = kind.__dataclass_fields__[str(part)].type
+        options = [annotation, *getattr(annotation, "__args__", ())]
+        kind = next((option for option in options if hasattr(option, "__dataclass_fields__")), kind)
+    return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
+
+
+def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
+    *parents, last = dotted.split(".")
+    for part in parents:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"{dotted}: '{part}' is a value and has no keys below it")
+    tree[last] = value
+
+
+__all__ = ["Config", "DataConfig", "NoiseConfig", "Probability", "ReferenceConfig", "dump", "load", "parse"]

@@ -1,0 +1,174 @@
+"""A stereo visual-inertial recording in memory: immutable, in SI units, observations kept sparse."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vislam.sensors import StereoRig
+from vislam.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What an estimator receives at one camera time.
+
+    Attributes
+    ----------
+    k : int
+        Index of the frame.
+    stamp : float
+        Camera time [s].
+    dt : float
+        Time since the frame before [s]; 0 for the first.
+    twist : (6,)
+        Mean inertial twist (omega, v) over the step that ends here, body frame [rad/s, m/s].
+    climb_rate : float
+        Mean climb rate over that step [m/s]; NaN where the recording has none.
+    track : (n,)
+        Track ids in view. An id that is missing once never comes back.
+    z : (n, 3)
+        Stereo measurements (uL, uR, v) [px].
+    sigma : (n,)
+        Standard deviation of uL and of uR [px]; that of v is smaller by sqrt(2).
+    """
+
+    k: int
+    stamp: float
+    dt: float
+    twist: Array
+    climb_rate: float
+    track: IntArray
+    z: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A recording, or a repaired one. Arrays are read-only.
+
+    Observations lie frame after frame; those of frame k are ``offset[k]:offset[k + 1]``.
+
+    Attributes
+    ----------
+    name : str
+    stamp : (T,)
+        Camera times, increasing [s].
+    twist : (T, 6)
+        Inertial samples (omega, v) at those times, body frame [rad/s, m/s].
+    climb_rate : (T,)
+        Climb rate samples [m/s], NaN where the velocity is not levelled.
+    rig : StereoRig
+    offset : (T + 1,)
+    track : (n,)
+        Track id of each observation.
+    pixels : (n, 4)
+        uL, vL, uR, vR [px].
+    clock_offset : float
+        How late the inertial stamps are against the camera's [s].
+    stand_in : bool
+        True if the sequence was simulated in place of, or without, a recording.
+    """
+
+    name: str
+    stamp: Array
+    twist: Array
+    climb_rate: Array
+    rig: StereoRig
+    offset: IntArray
+    track: IntArray
+    pixels: Array
+    clock_offset: float = 0.0
+    stand_in: bool = False
+    digest: str = ""
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.stamp, self.twist, self.climb_rate, self.offset, self.track, self.pixels):
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.stamp)
+
+    @property
+    def observations(self) -> int:
+        """Number of stereo observations."""
+        return len(self.track)
+
+    @property
+    def frame_of(self) -> IntArray:
+        """Frame index of each observation, ``(n,)``."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offset))
+
+    @property
+    def z(self) -> Array:
+        """Stereo measurements (uL, uR, v), ``(n, 3)`` [px]."""
+        return stereo_triples(self.pixels)
+
+    def select(self, keep: BoolArray, **counts: int) -> "Sequence":
+        """Return the sequence with the observations of the mask ``(n,)`` only, adding to the counts."""
+        lengths = np.bincount(self.frame_of[keep], minlength=len(self))
+        return replace(
+            self,
+            offset=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
+            track=self.track[keep],
+            pixels=self.pixels[keep],
+            counts={**self.counts, **counts},
+        )
+
+    def age(self) -> IntArray:
+        """Frames since the first observation of each observation's track, ``(n,)``."""
+        frame = self.frame_of
+        first = np.full(int(self.track.max(initial=-1)) + 1, len(self))
+        np.minimum.at(first, self.track, frame)
+        return frame - first[self.track]
+
+    def frames(self, sigma: Array) -> Iterator[Frame]:
+        """Frames in order; ``sigma (n,)`` [px] is the noise of each observation."""
+        z = self.z
+        twist, climb = self.step_means()
+        dt = np.diff(self.stamp, prepend=self.stamp[0])
+        for k in range(len(self)):
+            rows = slice(self.offset[k], self.offset[k + 1])
+            yield Frame(
+                k=k, stamp=float(self.stamp[k]), dt=float(dt[k]), twist=twist[k],
+                climb_rate=float(climb[k]), track=self.track[rows], z=z[rows], sigma=sigma[rows],
+            )
+
+    def step_means(self) -> tuple[Array, Array]:
+        """Mean twist ``(T, 6)`` and climb rate ``(T,)`` over the step that ends at each frame.
+
+        The samples are joined by straight lines, moved by the clock offset and averaged exactly
+        over the step. The first row, which ends no step, is the first sample.
+        """
+        samples = np.column_stack([self.twist, self.climb_rate])
+        means = np.empty_like(samples)
+        means[0] = samples[0]
+        at = self.stamp + self.clock_offset
+        for column in range(samples.shape[1]):
+            integral = _integrate_linear(self.stamp, samples[:, column], at)
+            means[1:, column] = np.diff(integral) / np.diff(self.stamp)
+        return means[:, :6], means[:, 6]
+
+
+def stereo_triples(pixels: Array) -> Array:
+    """(uL, uR, v) of pixels (uL, vL, uR, vR), ``(n, 4)`` to ``(n, 3)`` [px]."""
+    return np.column_stack([pixels[:, 0], pixels[:, 2], 0.5 * (pixels[:, 1] + pixels[:, 3])])
+
+
+def _integrate_linear(stamp: Array, value: Array, at: Array) -> Array:
+    """Integral from ``stamp[0]`` to each time of ``at`` of the samples joined by straight lines.
+
+    Outside the samples the first or last value is held.
+    """
+    step = np.diff(stamp)
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * step)])
+    inside = np.clip(at, stamp[0], stamp[-1])
+    left = np.clip(np.searchsorted(stamp, inside, side="right") - 1, 0, len(stamp) - 2)
+    since = inside - stamp[left]
+    slope = (value[left + 1] - value[left]) / step[left]
+    partial = total[left] + value[left] * since + 0.5 * slope * since**2
+    before, after = np.minimum(at - stamp[0], 0.0), np.maximum(at - stamp[-1], 0.0)
+    return np.asarray(partial + before * value[0] + after * value[-1])

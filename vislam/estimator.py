@@ -1,0 +1,200 @@
+"""The one interface of all estimators, how they are found, and the loop that owns the clock."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, Protocol
+
+import numpy as np
+
+from vislam.data.sequence import Frame, Sequence
+from vislam.errors import ConfigError
+from vislam.memory import PeakMemory
+from vislam.motion import MotionNoise
+from vislam.run import Run
+from vislam.sensors import StereoRig
+from vislam.types import Array, BoolArray, IntArray
+
+GROUP = "vislam.estimators"
+"""Entry-point group under which estimators are found by name."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every estimator is built from: models, noise and prior, no data.
+
+    Attributes
+    ----------
+    rig : StereoRig
+    noise : MotionNoise
+    first_pose_sigma : (6,)
+        Prior of the first pose, which is the identity [rad, m].
+    bias_mean, bias_sigma : (6,)
+        Prior of the twist bias [rad/s, m/s].
+    gate_probability : float
+        Share of good observations that a chi-square gate lets pass.
+    """
+
+    rig: StereoRig
+    noise: MotionNoise
+    first_pose_sigma: Array
+    bias_mean: Array
+    bias_sigma: Array
+    gate_probability: float
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """What an estimator knows at a frame.
+
+    Attributes
+    ----------
+    world_T_imu : (4, 4)
+    pose_cov : (6, 6) or None
+        Covariance of the pose, on its right.
+    bias : (6,) or None
+        Twist bias [rad/s, m/s].
+    nis, dof : float, int
+        Normalised innovation squared of the accepted observations and its degrees of freedom.
+    used : (n,)
+        Which of the frame's observations were fused.
+    gated : (n,)
+        Which of them the estimator itself refused.
+    """
+
+    world_T_imu: Array
+    pose_cov: Array | None
+    bias: Array | None
+    nis: float
+    dof: int
+    used: BoolArray
+    gated: BoolArray
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator knows in the end.
+
+    Attributes
+    ----------
+    world_T_imu : (T, 4, 4)
+    track : (m,)
+        Ids of the landmarks.
+    points_world : (m, 3)
+        Landmarks [m].
+    points_cov : (m, 3, 3) or None
+        Their marginal covariances [m^2].
+    counts : dict
+        What was dropped, waited for, rescued.
+    """
+
+    world_T_imu: Array
+    track: IntArray
+    points_world: Array
+    points_cov: Array | None
+    counts: dict[str, int]
+
+
+class Estimator(Protocol):
+    """An estimator: built from a :class:`Problem` and options, fed frames in order, then asked for its end."""
+
+    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Take one frame; ``refused (n,)`` marks observations that a shared gate has taken out."""
+        ...
+
+    def finalize(self) -> Estimate:
+        """Return the estimate after the last frame."""
+        ...
+
+
+Build = Callable[[Problem, Mapping[str, Any]], Estimator]
+
+
+def find(name: str) -> Build:
+    """Find an estimator's builder by its name; ConfigError if there is none."""
+    known = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if name not in known:
+        raise ConfigError(f"estimators.{name}: no such estimator; installed are {', '.join(sorted(known))}")
+    build: Build = known[name].load()
+    return build
+
+
+def run(
+    estimator: Estimator,
+    sequence: Sequence,
+    sigma: Array,
+    *,
+    name: str,
+    refused: BoolArray | None = None,
+    on_frame: Callable[[int], None] = lambda k: None,
+) -> Run:
+    """Feed a sequence to an estimator and keep all it says.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    sequence : Sequence
+    sigma : (n,)
+        Pixel noise of each observation [px].
+    name : str
+    refused : (n,), optional
+        Observations that a shared gate has taken out.
+    on_frame : callable
+        Called with the index of each finished frame.
+
+    Returns
+    -------
+    Run
+        Marked incomplete, with the error's text and all frames up to it, if the estimator failed.
+    """
+    refused = np.zeros(sequence.observations, bool) if refused is None else refused
+    used, gated = np.zeros(sequence.observations, bool), np.zeros(sequence.observations, bool)
+    records: list[StepRecord] = []
+    step_time: list[float] = []
+    error, estimate = "", None
+    with PeakMemory() as memory:
+        started = time.perf_counter()
+        try:
+            for frame in sequence.frames(sigma):
+                rows = slice(sequence.offset[frame.k], sequence.offset[frame.k + 1])
+                before = time.perf_counter()
+                record = estimator.process(frame, refused[rows])
+                step_time.append(time.perf_counter() - before)
+                records.append(record)
+                used[rows], gated[rows] = record.used, record.gated
+                on_frame(frame.k)
+            estimate = estimator.finalize()
+        except (ArithmeticError, RuntimeError, ValueError, np.linalg.LinAlgError) as failure:
+            text = next((line for line in str(failure).splitlines() if line.strip()), "")
+            error = f"frame {len(records)}: {type(failure).__name__}: {text}"
+        total = time.perf_counter() - started
+    causal = np.array([record.world_T_imu for record in records]).reshape(-1, 4, 4)
+    done = len(records)
+    return Run(
+        name=name,
+        error=error,
+        frames_expected=len(sequence),
+        stamp=np.array(sequence.stamp[:done]),
+        world_T_imu=causal if estimate is None else estimate.world_T_imu,
+        world_T_imu_causal=causal,
+        pose_cov=_stack([record.pose_cov for record in records], (6, 6)),
+        bias=_stack([record.bias for record in records], (6,)),
+        nis=np.array([record.nis for record in records]),
+        dof=np.array([record.dof for record in records], dtype=np.int64),
+        step_time=np.array(step_time),
+        total_time=total,
+        peak_rss=memory.peak,
+        used=used,
+        gated=gated,
+        track=np.empty(0, np.int64) if estimate is None else estimate.track,
+        points_world=np.empty((0, 3)) if estimate is None else estimate.points_world,
+        points_cov=None if estimate is None else estimate.points_cov,
+        counts={} if estimate is None else estimate.counts,
+    )
+
+
+def _stack(parts: list[Array | None], shape: tuple[int, ...]) -> Array:
+    """Stack what is there; NaN where an estimator gave nothing."""
+    nothing = np.full(shape, np.nan)
+    return np.array([nothing if part is None else part for part in parts]).reshape(-1, *shape)

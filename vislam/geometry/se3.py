@@ -1,0 +1,118 @@
+"""Poses as ``(..., 4, 4)`` arrays: exponential, logarithm, adjoint and right Jacobian in batch form.
+
+The order of tangent vectors is (omega, v); see the package docstring for all conventions.
+"""
+
+import numpy as np
+
+from vislam.geometry import so3
+from vislam.types import Array
+
+_SMALL_ANGLE = 5e-2
+"""Below this angle [rad] the fifth-order coefficient of :func:`left_jacobian` comes from its series."""
+
+
+def from_rotation_translation(rotation: Array, translation: Array) -> Array:
+    """Pose ``(..., 4, 4)`` from a rotation ``(..., 3, 3)`` and a translation ``(..., 3)`` [m]."""
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    pose = np.zeros((*batch, 4, 4))
+    pose[..., :3, :3] = rotation
+    pose[..., :3, 3] = translation
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def inverse(pose: Array) -> Array:
+    """Inverse of a rigid transform, ``(..., 4, 4)``."""
+    transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return from_rotation_translation(transposed, -np.einsum("...ij,...j->...i", transposed, pose[..., :3, 3]))
+
+
+def exp(xi: Array) -> Array:
+    """Pose ``(..., 4, 4)`` of a tangent vector ``(..., 6)`` = (omega [rad], v [m])."""
+    omega, v = xi[..., :3], xi[..., 3:]
+    return from_rotation_translation(
+        so3.exp(omega), np.einsum("...ij,...j->...i", so3.left_jacobian(omega), v)
+    )
+
+
+def log(pose: Array) -> Array:
+    """Tangent vector ``(..., 6)`` = (omega [rad], v [m]) of a pose ``(..., 4, 4)``."""
+    omega = so3.log(pose[..., :3, :3])
+    v = np.linalg.solve(so3.left_jacobian(omega), pose[..., :3, 3, None])[..., 0]
+    return np.concatenate([omega, v], axis=-1)
+
+
+def retract(pose: Array, xi: Array) -> Array:
+    """``pose @ exp(xi)``."""
+    return pose @ exp(xi)
+
+
+def local(origin: Array, pose: Array) -> Array:
+    """``log(inverse(origin) @ pose)``, the inverse of :func:`retract`."""
+    return log(inverse(origin) @ pose)
+
+
+def transform(pose: Array, points: Array) -> Array:
+    """Points ``(..., n, 3)`` taken by a pose ``(..., 4, 4)`` from its inner frame to its outer one."""
+    return points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
+
+
+def adjoint(pose: Array) -> Array:
+    """Adjoint ``(..., 6, 6)``: ``T @ exp(xi) == exp(adjoint(T) @ xi) @ T``, in the order (omega, v)."""
+    rotation = pose[..., :3, :3]
+    out = np.zeros((*pose.shape[:-2], 6, 6))
+    out[..., :3, :3] = rotation
+    out[..., 3:, 3:] = rotation
+    out[..., 3:, :3] = so3.hat(pose[..., :3, 3]) @ rotation
+    return out
+
+
+def left_jacobian(xi: Array) -> Array:
+    """Left Jacobian of :func:`exp`, ``(..., 6)`` to ``(..., 6, 6)``.
+
+    Barfoot, *State Estimation for Robotics* (2017), eqs. (7.85b) and (7.86b), with the blocks
+    exchanged because our tangent vectors start with the rotation.
+    """
+    omega, v = xi[..., :3], xi[..., 3:]
+    angle = np.linalg.norm(omega, axis=-1)
+    w, p = so3.hat(omega), so3.hat(v)
+    wp, pw = w @ p, p @ w
+    wpw = wp @ w
+    second = so3.sine_coefficient(angle)
+    third, fifth = _third_coefficient(angle), _fifth_coefficient(angle)
+    coupling = (
+        0.5 * p
+        + second[..., None, None] * (wp + pw + wpw)
+        + third[..., None, None] * (w @ wp + pw @ w - 3.0 * wpw)
+        + fifth[..., None, None] * (wpw @ w + w @ wpw)
+    )
+    rotation = so3.left_jacobian(omega)
+    out = np.zeros((*xi.shape, 6))
+    out[..., :3, :3] = rotation
+    out[..., 3:, 3:] = rotation
+    out[..., 3:, :3] = coupling
+    return out
+
+
+def right_jacobian(xi: Array) -> Array:
+    """Right Jacobian: ``exp(xi + d) ~ exp(xi) @ exp(J d)``; equals ``left_jacobian(-xi)``."""
+    return left_jacobian(-xi)
+
+
+def _third_coefficient(angle: Array) -> Array:
+    """``(a^2 + 2 cos a - 2) / (2 a^4)``, by its series near zero."""
+    small = angle < _SMALL_ANGLE
+    safe = np.where(small, 1.0, angle)
+    closed = (safe**2 + 2.0 * np.cos(safe) - 2.0) / (2.0 * safe**4)
+    square = angle**2
+    return np.where(small, 1.0 / 24.0 - square / 720.0 + square**2 / 40320.0, closed)
+
+
+def _fifth_coefficient(angle: Array) -> Array:
+    """``(2 a - 3 sin a + a cos a) / (2 a^5)``, by its series near zero."""
+    small = angle < _SMALL_ANGLE
+    safe = np.where(small, 1.0, angle)
+    closed = (2.0 * safe - 3.0 * np.sin(safe) + safe * np.cos(safe)) / (2.0 * safe**5)
+    square = angle**2
+    return np.where(small, 1.0 / 120.0 - square / 2520.0 + square**2 / 120960.0, closed)

@@ -1,0 +1,68 @@
+"""Rotations: hat, exponential, logarithm and the Jacobians of the exponential, all in batch form."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vislam.types import Array
+
+_SMALL_ANGLE = 1e-3
+"""Below this angle [rad] the coefficients come from their series: there the closed forms lose digits."""
+
+
+def hat(omega: Array) -> Array:
+    """Cross-product matrix of a vector.
+
+    Parameters
+    ----------
+    omega : (..., 3)
+
+    Returns
+    -------
+    (..., 3, 3), with ``hat(a) @ b == cross(a, b)``.
+    """
+    out = np.zeros((*omega.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -omega[..., 2], omega[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = omega[..., 2], -omega[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -omega[..., 1], omega[..., 0]
+    return out
+
+
+def exp(omega: Array) -> Array:
+    """Rotation matrix of a rotation vector ``(..., 3)`` [rad]; returns ``(..., 3, 3)``."""
+    matrices: Array = Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix()
+    return matrices.reshape(*omega.shape, 3)
+
+
+def log(rotation: Array) -> Array:
+    """Rotation vector ``(..., 3)`` [rad], of angle at most pi, of a matrix ``(..., 3, 3)``."""
+    vectors: Array = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    return vectors.reshape(rotation.shape[:-1])
+
+
+def left_jacobian(omega: Array) -> Array:
+    """Left Jacobian of the exponential: ``exp(omega + d) ~ exp(J d) @ exp(omega)``.
+
+    Barfoot, *State Estimation for Robotics* (2017), eq. (7.77); ``(..., 3)`` to ``(..., 3, 3)``.
+    """
+    angle = np.linalg.norm(omega, axis=-1)
+    first, second = cosine_coefficient(angle), sine_coefficient(angle)
+    matrix = hat(omega)
+    return (
+        np.eye(3)
+        + first[..., None, None] * matrix
+        + second[..., None, None] * (matrix @ matrix)
+    )
+
+
+def cosine_coefficient(angle: Array) -> Array:
+    """``(1 - cos a) / a^2``, by its series near zero."""
+    safe = np.where(angle < _SMALL_ANGLE, 1.0, angle)
+    closed = (1.0 - np.cos(safe)) / safe**2
+    return np.where(angle < _SMALL_ANGLE, 0.5 - angle**2 / 24.0, closed)
+
+
+def sine_coefficient(angle: Array) -> Array:
+    """``(a - sin a) / a^3``, by its series near zero."""
+    safe = np.where(angle < _SMALL_ANGLE, 1.0, angle)
+    closed = (safe - np.sin(safe)) / safe**3
+    return np.where(angle < _SMALL_ANGLE, 1.0 / 6.0 - angle**2 / 120.0, closed)

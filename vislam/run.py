@@ -1,0 +1,91 @@
+"""A finished run of an estimator: all that evaluation ever sees of it, saved and loaded as one file."""
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vislam.files import replace_whole
+from vislam.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Run:
+    """What an estimator said, frame by frame and in the end.
+
+    Attributes
+    ----------
+    name : str
+    error : str
+        Why it stopped early; empty for a complete run.
+    frames_expected : int
+    stamp : (T,)
+        Camera times of the frames it finished [s].
+    world_T_imu, world_T_imu_causal : (T, 4, 4)
+        Poses as known in the end, and as known at their own time.
+    pose_cov : (T, 6, 6)
+        Covariance of the causal pose, on its right; NaN where not given.
+    bias : (T, 6)
+        Twist bias at each time [rad/s, m/s]; NaN where not given.
+    nis, dof : (T,)
+        Normalised innovation squared and its degrees of freedom.
+    step_time : (T,)
+        Time of each step [s].
+    total_time : float
+        Time of all steps and of the final estimate [s].
+    peak_rss : int
+        Largest resident memory while it ran [bytes].
+    used, gated : (n,)
+        Which observations of the sequence were fused, and which the estimator refused.
+    track, points_world, points_cov : (m,), (m, 3), (m, 3, 3) or None
+        Landmarks [m].
+    counts : dict
+        What was dropped, waited for, rescued.
+    """
+
+    name: str
+    error: str
+    frames_expected: int
+    stamp: Array
+    world_T_imu: Array
+    world_T_imu_causal: Array
+    pose_cov: Array
+    bias: Array
+    nis: Array
+    dof: IntArray
+    step_time: Array
+    total_time: float
+    peak_rss: int
+    used: BoolArray
+    gated: BoolArray
+    track: IntArray
+    points_world: Array
+    points_cov: Array | None
+    counts: dict[str, int]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the estimator finished."""
+        return not self.error
+
+    def save(self, path: Path) -> None:
+        """Write the run, whole or not at all."""
+        arrays, plain = {}, {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                arrays[item.name] = value
+            else:
+                plain[item.name] = value
+        with replace_whole(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, plain=np.array(json.dumps(plain)), **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> "Run":
+        """Read a saved run."""
+        with np.load(path) as archive:
+            values: dict[str, Any] = json.loads(str(archive["plain"]))
+            values.update({key: archive[key] for key in archive.files if key != "plain"})
+        return cls(**values)

@@ -1,0 +1,99 @@
+"""A simulated recording with its truth: one seed, one sequence, on any machine."""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.data.sequence import Sequence
+from vislam.geometry import se3, so3
+from vislam.sensors import StereoRig
+from vislam.simulation.path import DrivePath
+from vislam.simulation.settings import SimulationConfig
+from vislam.simulation.tracks import simulate_tracks
+from vislam.types import Array
+
+_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation from a level, forward-looking camera to the body."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Exact truth of a simulated drive.
+
+    Attributes
+    ----------
+    world_T_imu : (T, 4, 4)
+    bias : (6,)
+        Bias of the inertial samples (omega, v) [rad/s, m/s].
+    points_world : (n, 3)
+        The point that each observation of the unrepaired sequence saw [m]; a stale observation
+        counts for the point that is followed from there on.
+    """
+
+    world_T_imu: Array
+    bias: Array
+    points_world: Array
+
+
+def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequence, Truth]:
+    """Simulate a drive.
+
+    Parameters
+    ----------
+    config : SimulationConfig
+    seed : int
+        Equal seeds give equal sequences.
+    name : str
+        Name of the sequence.
+
+    Returns
+    -------
+    Sequence
+        As a recording would be read, faults included: nothing in it is repaired.
+    Truth
+    """
+    generator = np.random.default_rng(seed)
+    path = DrivePath(config, generator)
+    stamp = config.period * np.arange(config.frames)
+    world_T_imu = path.pose(stamp)
+    origin = se3.inverse(world_T_imu[0])
+    upright = se3.from_rotation_translation(world_T_imu[0, :3, :3], np.zeros(3))
+    rig = stereo_rig(config)
+
+    bias = np.array([*config.gyro_bias, *config.velocity_bias])
+    sampled_at = stamp - config.clock_offset
+    twist = path.twist(sampled_at) + bias
+    if config.levelled_velocity:
+        twist[:, 5] = path.climb_rate(sampled_at) + bias[5]
+    noise = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
+    twist += noise * generator.standard_normal(twist.shape)
+
+    tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
+    start = upright @ origin
+    sequence = Sequence(
+        name=name,
+        stamp=stamp,
+        twist=twist,
+        climb_rate=np.full(config.frames, np.nan),
+        rig=rig,
+        offset=tracks.offset,
+        track=tracks.track,
+        pixels=tracks.pixels,
+        stand_in=True,
+        digest=hashlib.sha256(tracks.pixels.tobytes() + twist.tobytes()).hexdigest(),
+        counts={
+            "frames": config.frames,
+            "feature_columns": int(tracks.track.max(initial=-1)) + 1,
+            "observations_read": len(tracks.track),
+        },
+    )
+    return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world))
+
+
+def stereo_rig(config: SimulationConfig) -> StereoRig:
+    """Stereo rig of a simulation."""
+    rig = config.rig
+    tilt = so3.exp(np.array([0.0, np.deg2rad(rig.pitch_deg), 0.0]))
+    mounting = se3.from_rotation_translation(tilt @ _CAMERA_AXES, np.array(rig.position_imu))
+    return StereoRig(rig.fx, rig.fy, rig.cx, rig.cy, rig.baseline, mounting)

@@ -1,0 +1,82 @@
+"""What can be set of a simulated drive."""
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Vector3 = tuple[float, float, float]
+STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RigConfig:
+    """The simulated stereo pair; the left camera looks along the body's x axis."""
+
+    fx: Positive = 552.554261
+    """Focal length, horizontal [px]."""
+    fy: Positive = 552.554261
+    """Focal length, vertical [px]."""
+    cx: Positive = 682.049453
+    """Principal point, column [px]."""
+    cy: Positive = 238.769549
+    """Principal point, row [px]."""
+    width: Positive = 1408.0
+    """Image width [px]."""
+    height: Positive = 376.0
+    """Image height [px]."""
+    baseline: Positive = 0.59418
+    """Distance between the cameras [m]."""
+    position_imu: Vector3 = (1.575, 0.004, 0.65)
+    """Left camera in the body frame [m]."""
+    pitch_deg: float = -5.6
+    """Turn of the camera about the body's y axis [deg]; negative looks up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SimulationConfig:
+    """A simulated drive: path, inertial data, stereo tracks and the faults of a recording."""
+
+    frames: Annotated[int, Field(ge=2, le=1_000_000)] = 1010
+    """Number of frames."""
+    period: Positive = 0.1046
+    """Time between frames [s]."""
+    path: Literal["town", "straight", "loop"] = "town"
+    """Shape of the drive: a town drive with turns and changes of speed, a straight line, a circle."""
+    speed: Positive = 12.7
+    """Mean speed [m/s]."""
+    hills_m: NonNegative = 4.0
+    """Amplitude of the hills [m]."""
+    rig: RigConfig = RigConfig()
+    """The stereo pair."""
+    tracks_in_view: Positive = 66.0
+    """Mean number of stereo tracks in view."""
+    loss_probability: Probability = 0.04
+    """Chance that a track in view is lost in a frame."""
+    depth_min: Positive = 5.0
+    """Nearest depth at which a track is born [m]."""
+    depth_max: Positive = 120.0
+    """Farthest depth at which a track is born [m]."""
+    pixel_sigma_px: NonNegative = 0.5
+    """White noise of uL, vL, uR and vR [px]."""
+    stereo_bias_sigma_px: NonNegative = 0.0
+    """Error of the stereo match, one value a track, kept as long as it is tracked [px]."""
+    outlier_probability: Probability = 0.0
+    """Chance that an observation is off by up to 50 px."""
+    stale_probability: Probability = 0.0
+    """Chance that a frame is stale: tracks repeat their pixels and follow other points afterwards."""
+    gyro_bias: Vector3 = (0.0, 0.0, 0.0)
+    """Constant bias of the angular velocity [rad/s]."""
+    velocity_bias: Vector3 = (0.0, 0.0, 0.0)
+    """Constant bias of the velocity [m/s]."""
+    gyro_sigma: NonNegative = 0.002
+    """White noise of an angular velocity sample [rad/s]."""
+    velocity_sigma: NonNegative = 0.02
+    """White noise of a velocity sample [m/s]."""
+    clock_offset: float = 0.0
+    """How late the inertial stamps are against the camera's [s]."""
+    levelled_velocity: bool = False
+    """Write the climb rate as the third velocity component, as KITTI's recordings have it."""

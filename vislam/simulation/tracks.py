@@ -1,0 +1,112 @@
+"""Stereo tracks of a simulated front end: births, losses, noise, wrong matches and stale frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.geometry import se3
+from vislam.sensors import StereoRig
+from vislam.simulation.settings import SimulationConfig
+from vislam.types import Array, BoolArray, IntArray
+
+_NEAREST = 1.5
+"""A point nearer than this is out of sight [m]."""
+_OUTLIER_PX = 50.0
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Observations frame after frame, as in ``Sequence``, with the point behind each."""
+
+    offset: IntArray
+    track: IntArray
+    pixels: Array
+    points_world: Array
+
+
+@dataclass
+class _Alive:
+    """The tracks in view: id, point, error of the stereo match, and the pixels last written."""
+
+    track: IntArray
+    point: Array
+    bias: Array
+    pixels: Array
+
+    def keep(self, mask: BoolArray) -> None:
+        self.track, self.point = self.track[mask], self.point[mask]
+        self.bias, self.pixels = self.bias[mask], self.pixels[mask]
+
+    def add(self, other: "_Alive") -> None:
+        self.track = np.concatenate([self.track, other.track])
+        self.point = np.concatenate([self.point, other.point])
+        self.bias = np.concatenate([self.bias, other.bias])
+        self.pixels = np.concatenate([self.pixels, other.pixels])
+
+
+def simulate_tracks(
+    config: SimulationConfig, rig: StereoRig, world_T_cam: Array, generator: np.random.Generator
+) -> Tracks:
+    """Observe a random world along the camera poses ``(T, 4, 4)``."""
+    alive = _Alive(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0), np.empty((0, 4)))
+    born, lengths = 0, []
+    written: list[tuple[IntArray, Array, Array]] = []
+    for k, pose in enumerate(world_T_cam):
+        stale = k > 0 and len(alive.track) > 0 and generator.random() < config.stale_probability
+        alive.keep(generator.random(len(alive.track)) >= config.loss_probability)
+        if stale:
+            alive.point = se3.transform(pose, rig.back_project(_triples(alive.pixels, alive.bias)))
+        else:
+            alive.keep(_in_view(config, rig, se3.transform(se3.inverse(pose), alive.point)))
+            alive.pixels = _observe(config, rig, pose, alive, generator)
+        missing = max(0, round(generator.normal(config.tracks_in_view, 0.08 * config.tracks_in_view))
+                      - len(alive.track))
+        alive.add(_births(config, rig, pose, born, missing, generator))
+        born += missing
+        lengths.append(len(alive.track))
+        written.append((alive.track, alive.pixels, alive.point))
+    track, pixels, points = (np.concatenate(part) for part in zip(*written, strict=True))
+    offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    return Tracks(offset, track, pixels, points)
+
+
+def _births(
+    config: SimulationConfig, rig: StereoRig, pose: Array, first: int, count: int,
+    generator: np.random.Generator,
+) -> _Alive:
+    """New tracks anywhere in the image, at depths spread evenly in their logarithm."""
+    depth = np.exp(generator.uniform(np.log(config.depth_min), np.log(config.depth_max), count))
+    disparity = rig.fx * rig.baseline / depth
+    column = generator.uniform(disparity, np.maximum(config.rig.width, disparity + 1.0))
+    row = generator.uniform(0.0, config.rig.height, count)
+    point = se3.transform(pose, rig.back_project(np.column_stack([column, column - disparity, row])))
+    bias = config.stereo_bias_sigma_px * generator.standard_normal(count)
+    new = _Alive(first + np.arange(count), point, bias, np.empty((count, 4)))
+    new.pixels = _observe(config, rig, pose, new, generator)
+    return new
+
+
+def _observe(
+    config: SimulationConfig, rig: StereoRig, pose: Array, alive: _Alive, generator: np.random.Generator
+) -> Array:
+    """Pixels (uL, vL, uR, vR) of the tracks, with noise, match error and outliers."""
+    z = rig.project(se3.transform(se3.inverse(pose), alive.point))
+    pixels = np.column_stack([z[:, 0], z[:, 2], z[:, 1] + alive.bias, z[:, 2]])
+    pixels += config.pixel_sigma_px * generator.standard_normal(pixels.shape)
+    wrong = generator.random(len(pixels)) < config.outlier_probability
+    pixels[wrong] += generator.uniform(-_OUTLIER_PX, _OUTLIER_PX, (int(wrong.sum()), 4))
+    return pixels
+
+
+def _in_view(config: SimulationConfig, rig: StereoRig, points_cam: Array) -> BoolArray:
+    ahead = points_cam[:, 2] > _NEAREST
+    z = rig.project(np.where(ahead[:, None], points_cam, [0.0, 0.0, 1.0]))
+    inside = (z[:, 1] >= 0) & (z[:, 0] <= config.rig.width) & (z[:, 2] >= 0) & (z[:, 2] <= config.rig.height)
+    return np.asarray(ahead & inside)
+
+
+def _triples(pixels: Array, bias: Array) -> Array:
+    """Measurements without the match error; a disparity below half a pixel counts as that."""
+    left, right = pixels[:, 0], pixels[:, 2] - bias
+    right = np.minimum(right, left - 0.5)
+    return np.column_stack([left, right, 0.5 * (pixels[:, 1] + pixels[:, 3])])

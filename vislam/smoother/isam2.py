@@ -1,0 +1,250 @@
+"""iSAM2 SLAM, one frame at a time, with GTSAM doing the solving."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import gtsam
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from vislam import config
+from vislam.data.sequence import Frame
+from vislam.errors import DivergedError
+from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.geometry import se3
+from vislam.simulation.settings import STRICT, Positive
+from vislam.smoother.factors import FactorBuilder
+from vislam.smoother.keys import B, X, landmark, thresholds
+from vislam.smoother.triangulation import triangulate
+from vislam.types import Array, BoolArray
+
+_NEAREST = 1.0
+"""A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Isam2Options:
+    """Options of the incremental smoother."""
+
+    huber: Positive | None = 1.5
+    """Threshold of the Huber kernel on stereo factors, in standard deviations; null for none."""
+    window: Annotated[int, Field(ge=1)] = 10
+    """Frames after its last sight for which a variable may still be relinearised, until the end."""
+    final_iterations: Annotated[int, Field(ge=0)] = 1
+    """Updates after the last frame in which every variable may be relinearised."""
+    pose_threshold_rad: Positive = 0.002
+    """Relinearise a pose that turned by more than this [rad]."""
+    pose_threshold_m: Positive = 0.02
+    """Relinearise a pose that moved by more than this [m]."""
+    landmark_threshold: Positive = 0.05
+    """Relinearise a landmark that moved by more than this share of its depth."""
+    start_clearance: Positive = 5.0
+    """A landmark starts when its disparity is this many standard deviations away from zero."""
+    min_disparity_px: Positive = 1.3
+    """A landmark whose disparity, as estimated, falls below this has gone astray [px]."""
+    max_waiting_views: Annotated[int, Field(ge=2)] = 30
+    """Views that a waiting track keeps; older ones are dropped and counted."""
+
+
+def build(problem: Problem, options: Mapping[str, Any]) -> "Isam2Estimator":
+    """Build the smoother from a problem and the options of its config section."""
+    return Isam2Estimator(problem, config.parse(Isam2Options, dict(options), at="estimators.isam2"))
+
+
+@dataclass(frozen=True, slots=True, config={"arbitrary_types_allowed": True})
+class _View:
+    """One stereo observation of a track."""
+
+    k: int
+    z: Any
+    sigma: float
+
+
+class Isam2Estimator:
+    """Poses, biases and landmarks of the whole drive in one graph.
+
+    Only variables seen in the last frames are relinearised on the way: the linearisation of what lies
+    behind hardly matters for what comes, and redoing it costs the whole tree. In the end a few updates
+    relinearise everything.
+    """
+
+    def __init__(self, problem: Problem, options: Isam2Options) -> None:
+        self._problem, self._options = problem, options
+        self._factors = FactorBuilder(problem, huber=options.huber)
+        self._isam = gtsam.ISAM2(_parameters(options))
+        self._pose, self._bias = np.eye(4), problem.bias_mean
+        self._poses: list[Array] = []
+        self._waiting: dict[int, list[_View]] = {}
+        self._keys: dict[int, int] = {}
+        self._slots: dict[int, list[int]] = {}
+        self._last_seen: dict[int, int] = {}
+        self._seen_in: list[list[int]] = []
+        self._astray: list[int] = []
+        self._set_aside: set[int] = set()
+        self._frozen = gtsam.KeyList()
+        self.counts = {"landmarks_too_weak": 0, "landmarks_set_aside": 0, "views_dropped_waiting": 0,
+                       "observations_used_late": 0}
+
+    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Take one frame."""
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in self._move(frame):
+            graph.add(factor)
+        values.insert(X(frame.k), gtsam.Pose3(self._pose))
+        values.insert(B(frame.k), self._bias)
+        self._poses.append(self._pose)
+        views = self._known_views(frame, refused) + self._start_tracks(frame, values)
+        for track, view in views:
+            graph.add(self._factors.stereo(view.k, self._keys[track], z=view.z, sigma=view.sigma))
+        self._update(frame.k, graph, values, [track for track, _ in views])
+        self._pose = self._isam.calculateEstimatePose3(X(frame.k)).matrix()
+        self._bias = self._isam.calculateEstimateVector(B(frame.k))
+        self._poses[-1] = self._pose
+        now = {track for track, view in views if view.k == frame.k}
+        self.counts["observations_used_late"] += len(views) - len(now)
+        self._find_astray(sorted(now))
+        return StepRecord(
+            world_T_imu=self._pose,
+            pose_cov=None,
+            bias=self._bias,
+            nis=0.0,
+            dof=0,
+            used=np.isin(frame.track, list(now)),
+            gated=np.zeros(len(frame.track), bool),
+        )
+
+    def finalize(self) -> Estimate:
+        """Relinearise everything a few times and return all poses and landmarks."""
+        for _ in range(self._options.final_iterations):
+            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.ISAM2UpdateParams(), "the end")
+        self.counts["landmarks_too_weak"] += len(self._waiting)
+        values = self._isam.calculateEstimate()
+        poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._poses))])
+        tracks = sorted(self._keys)
+        points = np.array([values.atPoint3(self._keys[track]) for track in tracks]).reshape(-1, 3)
+        return Estimate(poses, np.array(tracks, dtype=np.int64), points, None, dict(self.counts))
+
+    def _move(self, frame: Frame) -> list[gtsam.NonlinearFactor]:
+        """Predict the pose; the factors that tie it to the one before."""
+        if frame.k == 0:
+            return self._factors.priors()
+        self._pose = self._pose @ se3.exp(frame.dt * (frame.twist - self._bias))
+        return self._factors.motion(frame.k, twist=frame.twist, bias=self._bias, dt=frame.dt)
+
+    def _known_views(self, frame: Frame, refused: BoolArray) -> list[tuple[int, _View]]:
+        """Views of landmarks in the graph; the views of other tracks join those that wait."""
+        views = []
+        tracks = frame.track.tolist()
+        for row in np.flatnonzero(~refused):
+            track = tracks[row]
+            if track in self._set_aside:
+                continue
+            view = _View(frame.k, frame.z[row], float(frame.sigma[row]))
+            if track in self._keys:
+                views.append((track, view))
+            else:
+                self._waiting.setdefault(track, []).append(view)
+        for track in self._waiting.keys() - set(tracks):
+            del self._waiting[track]
+            self.counts["landmarks_too_weak"] += 1
+        return views
+
+    def _start_tracks(self, frame: Frame, values: gtsam.Values) -> list[tuple[int, _View]]:
+        """Put waiting tracks that have become clear into the graph; returns all their views."""
+        limit = self._options.max_waiting_views
+        for views in self._waiting.values():
+            self.counts["views_dropped_waiting"] += max(0, len(views) - limit)
+            del views[:-limit]
+        tracks = [track for track, views in self._waiting.items() if len(views) > 1]
+        if not tracks:
+            return []
+        start = triangulate(
+            self._problem.rig, *self._stack_views(tracks), clear=self._options.start_clearance
+        )
+        started = []
+        for index in np.flatnonzero(start.ready):
+            track = tracks[index]
+            self._keys[track] = landmark(track, float(start.depth[index]))
+            values.insert(self._keys[track], start.points_world[index])
+            started += [(track, view) for view in self._waiting.pop(track)]
+        return started
+
+    def _stack_views(self, tracks: list[int]) -> tuple[Array, Array, Array]:
+        """Poses ``(n, V, 4, 4)``, measurements ``(n, V, 3)`` and noise ``(n, V)`` of waiting tracks."""
+        lists = [self._waiting[track] for track in tracks]
+        most = max(len(views) for views in lists)
+        frames = np.array([[view.k for view in views] + [views[0].k] * (most - len(views)) for views in lists])
+        z = np.array([[view.z for view in views] + [views[0].z] * (most - len(views)) for views in lists])
+        sigma = np.array(
+            [[view.sigma for view in views] + [np.inf] * (most - len(views)) for views in lists]
+        )
+        first = int(frames.min())
+        return np.array(self._poses[first:])[frames - first], z, sigma
+
+    def _update(
+        self, k: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, tracks: list[int]
+    ) -> None:
+        """Update the tree, take astray landmarks out of it and let old variables rest."""
+        self._seen_in.append(sorted(set(tracks)))
+        self._last_seen.update(dict.fromkeys(tracks, k))
+        old = k - self._options.window
+        if old >= 0:
+            self._frozen.push_back(X(old))
+            self._frozen.push_back(B(old))
+            for track in self._seen_in[old]:
+                if self._last_seen[track] == old and track in self._keys:
+                    self._frozen.push_back(self._keys[track])
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.noRelinKeys = self._frozen
+        parameters.removeFactorIndices = [
+            slot for track in self._astray for slot in self._slots.pop(track, [])
+        ]
+        self._astray = []
+        result = self._solve(graph, values, parameters, f"frame {k}")
+        slots = result.getNewFactorsIndices()
+        for track, slot in zip(reversed(tracks), reversed(list(slots)), strict=False):
+            self._slots.setdefault(track, []).append(slot)
+
+    def _solve(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, parameters: Any, where: str
+    ) -> gtsam.ISAM2Result:
+        try:
+            return self._isam.update(graph, values, parameters)
+        except RuntimeError as error:
+            named = [line.strip() for line in str(error).splitlines() if "Symbol" in line]
+            text = named[0] if named else str(error).strip().splitlines()[0]
+            raise DivergedError(f"iSAM2 could not solve at {where}: {text}") from None
+
+    def _find_astray(self, tracks: list[int]) -> None:
+        """Set aside landmarks that came to lie behind the camera, in it, or on their way to infinity.
+
+        A stereo factor whose point is behind the camera has no Jacobian, and the system loses rank; a
+        point gets there through infinity as easily as through the camera.
+        """
+        if not tracks:
+            return
+        points = np.array([self._isam.calculateEstimatePoint3(self._keys[track]) for track in tracks])
+        cam_T_world = self._problem.rig.cam_T_imu @ se3.inverse(self._pose)
+        depth = se3.transform(cam_T_world, points)[:, 2]
+        farthest = self._problem.rig.fx * self._problem.rig.baseline / self._options.min_disparity_px
+        for index in np.flatnonzero(~((depth > _NEAREST) & (depth < farthest))):
+            track = tracks[index]
+            self._astray.append(track)
+            self._set_aside.add(track)
+            del self._keys[track]
+            self.counts["landmarks_set_aside"] += 1
+
+
+def _parameters(options: Isam2Options) -> gtsam.ISAM2Params:
+    parameters = gtsam.ISAM2Params()
+    parameters.relinearizeSkip = 1
+    pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
+    # The bias enters all but linearly: a change of 1 rad/s would matter, none of that size occurs.
+    parameters.setRelinearizeThreshold(
+        thresholds(pose=pose, bias=np.ones(6), depth_share=options.landmark_threshold)
+    )
+    return parameters
+
+
+__all__ = ["Isam2Estimator", "Isam2Options", "build"]
