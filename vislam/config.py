@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -165,6 +165,11 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
         raise ConfigError(f"{where or 'config'}: {message}{got}") from None
 
 
+def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
+    """Return the configuration with other estimators."""
+    return replace(config, estimators=estimators)  # type: ignore[type-var]
+
+
 def dump(config: Config) -> str:
     """YAML of the effective configuration, defaults filled in."""
     return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)  # type: ignore[call-overload]
@@ -194,4 +199,4 @@ def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
     tree[last] = value
 
 
-__all__ = ["Config", "DataConfig", "NoiseConfig", "Probability", "ReferenceConfig", "dump", "load", "parse"]
+__all__ = ["Config", "DataConfig", "NoiseConfig", "Probability", "ReferenceConfig", "dump", "load", "parse", "with_estimators"]

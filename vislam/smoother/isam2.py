@@ -239,6 +239,7 @@ class Isam2Estimator:
 def _parameters(options: Isam2Options) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.relinearizeSkip = 1
+    parameters.setFactorization("QR")
     pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
     # The bias enters all but linearly: a change of 1 rad/s would matter, none of that size occurs.
     parameters.setRelinearizeThreshold(

@@ -1,0 +1,222 @@
+"""One comparison from config to report: open the data, run the estimators, evaluate, write."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from vislam import config as configuration
+from vislam import estimator
+from vislam.config import Config
+from vislam.data.export import write_ply, write_tum
+from vislam.data.source import Dataset, open_dataset
+from vislam.errors import DataError
+from vislam.estimator import Estimator, Problem
+from vislam.evaluation import Evaluation, evaluate
+from vislam.files import replace_whole
+from vislam.motion import MotionNoise
+from vislam.report.figures import all_figures
+from vislam.report.page import write_page
+from vislam.report.table import SHORT, comparison_table
+from vislam.run import Run
+from vislam.terminal import Terminal
+from vislam.types import Array
+
+SCHEMA_VERSION = 1
+_ID_DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a comparison came to."""
+
+    folder: Path
+    runs: Mapping[str, Run]
+    evaluation: Evaluation
+
+
+def compare(
+    config: Config, *, out: Path, data_dir: Path | None, allow_stand_in: bool, terminal: Terminal
+) -> Outcome:
+    """Run a comparison and write ``out/<id>/``.
+
+    The id is a hash of the config, the data and the code, so that a rerun lands in the same place.
+
+    Raises
+    ------
+    ConfigError, DataError
+        Before anything is written.
+    """
+    builders = {name: estimator.find(name) for name in config.estimators}
+    dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    if dataset.sequence.observations == 0:
+        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
+    problem = make_problem(config, dataset)
+    estimators = {name: builders[name](problem, options) for name, options in config.estimators.items()}
+    for note in dataset.notes:
+        terminal.note(note)
+    folder = out / result_id(config, dataset)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
+    with threadpool_limits(config.blas_threads):
+        runs = run_all(estimators, config, dataset, terminal)
+        evaluation = evaluate(runs, dataset.reference)
+        write_results(folder, config, dataset, runs, evaluation)
+    table = comparison_table(runs, evaluation, keys=SHORT)
+    terminal.table(table, title=_title(config, dataset), path=folder / "report.html")
+    for name, run in runs.items():
+        if not run.complete:
+            terminal.note(f"{name} is incomplete: {run.error}")
+    return Outcome(folder, runs, evaluation)
+
+
+def make_problem(config: Config, dataset: Dataset) -> Problem:
+    """Build the problem that all estimators are given."""
+    noise = config.noise
+    return Problem(
+        rig=dataset.sequence.rig,
+        noise=MotionNoise(np.array(noise.twist_density), np.array(noise.bias_walk)),
+        first_pose_sigma=np.array(noise.first_pose_sigma),
+        bias_mean=np.array(noise.bias_mean),
+        bias_sigma=np.array(noise.bias_sigma),
+        gate_probability=config.gate_probability,
+    )
+
+
+def pixel_sigma(config: Config, dataset: Dataset) -> Array:
+    """Pixel noise of each observation, ``(n,)`` [px]: it may grow along a track."""
+    growth = config.noise.pixel_growth_px * dataset.sequence.age()
+    return np.hypot(config.noise.pixel_sigma_px, growth)
+
+
+def run_all(
+    estimators: Mapping[str, Estimator], config: Config, dataset: Dataset, terminal: Terminal
+) -> dict[str, Run]:
+    """Run the estimators one after the other; what one gates may be refused to all that follow."""
+    sequence = dataset.sequence
+    sigma = pixel_sigma(config, dataset)
+    refused = np.zeros(sequence.observations, bool)
+    runs = {}
+    for name, solver in estimators.items():
+        with terminal.progress(name, len(sequence)) as bar:
+            runs[name] = estimator.run(
+                solver, sequence, sigma, name=name, refused=refused,
+                on_frame=lambda k, bar=bar: bar.update(0, completed=k + 1),  # type: ignore[misc]
+            )
+        if name == config.gates_from:
+            refused = runs[name].gated
+    return runs
+
+
+def result_id(config: Config, dataset: Dataset) -> str:
+    """Hash of config, data and code version."""
+    parts = [configuration.dump(config), dataset.sequence.digest, _code_digest()]
+    return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
+
+
+def write_results(
+    folder: Path, config: Config, dataset: Dataset, runs: Mapping[str, Run], evaluation: Evaluation
+) -> None:
+    """Write everything a comparison leaves behind, each file whole or not at all."""
+    text = configuration.dump(config)
+    with replace_whole(folder / "config.yaml") as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    for name, run in runs.items():
+        run.save(folder / "runs" / f"{name}.npz")
+        write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
+        write_ply(folder / f"{name}.ply", run.points_world)
+    provenance = _provenance()
+    write_metrics(folder / "metrics.json", config, dataset, runs, evaluation, provenance)
+    paths = {}
+    for name, figure in all_figures(runs, dataset.reference, title=_title(config, dataset)).items():
+        paths[name] = folder / "figures" / f"{name}.png"
+        with replace_whole(paths[name]) as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+    write_page(
+        folder / "report.html",
+        title=_title(config, dataset),
+        notes=dataset.notes,
+        runs=runs,
+        evaluation=evaluation,
+        reference=dataset.reference,
+        counts=dataset.sequence.counts,
+        figures=paths,
+        provenance="\n".join(f"{key}: {value}" for key, value in provenance.items()),
+        config=text,
+    )
+
+
+def write_metrics(
+    path: Path,
+    config: Config,
+    dataset: Dataset,
+    runs: Mapping[str, Run],
+    evaluation: Evaluation,
+    provenance: Mapping[str, str],
+) -> None:
+    """Write ``metrics.json``."""
+    reference = dataset.reference
+    document: dict[str, Any] = {
+        "schema_version": SCHEMA_VERSION,
+        "name": config.name,
+        "dataset": {
+            "name": dataset.sequence.name,
+            "stand_in": dataset.sequence.stand_in,
+            "reference": None if reference is None else reference.name,
+            "reference_limits": None if reference is None else reference.limits,
+            "digest": dataset.sequence.digest,
+            "counts": dataset.sequence.counts,
+            "notes": list(dataset.notes),
+        },
+        "runs": {
+            name: {"complete": run.complete, "error": run.error, "frames": len(run.stamp), "counts": run.counts}
+            for name, run in runs.items()
+        },
+        "provenance": dict(provenance),
+        "metrics": evaluation.records(),
+    }
+    with replace_whole(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _title(config: Config, dataset: Dataset) -> str:
+    mark = " [SIMULATED]" if dataset.sequence.stand_in else ""
+    return f"vislam {config.name}: {dataset.sequence.name}{mark}"
+
+
+def _provenance() -> dict[str, str]:
+    packages = ("vislam", "gtsam", "numpy", "scipy")
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "cpu": _cpu(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+        "code": _code_digest(),
+    }
+
+
+def _cpu() -> str:
+    information = Path("/proc/cpuinfo")
+    if information.exists():
+        for line in information.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _code_digest() -> str:
+    """Hash of the package's own source, so that a changed estimator gets a folder of its own."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:_ID_DIGITS]

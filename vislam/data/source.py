@@ -1,0 +1,154 @@
+"""From a config's data section to a repaired sequence and its reference."""
+
+import logging
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vislam import repair
+from vislam.config import DataConfig
+from vislam.consensus import cut_inconsistent_tracks
+from vislam.data.course_npz import load_course_npz
+from vislam.data.reference import Reference, load_reference, truth_reference
+from vislam.data.sequence import Sequence
+from vislam.errors import DataError
+from vislam.simulation import simulate
+
+_log = logging.getLogger("vislam.data")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What a comparison runs on.
+
+    Attributes
+    ----------
+    sequence : Sequence
+        Repaired.
+    reference : Reference or None
+    truth_points : (n, 3) or None
+        In a simulation, the true point behind each observation of ``sequence`` [m].
+    notes : tuple of str
+        What a reader of the report must know: stand-in, missing reference.
+    """
+
+    sequence: Sequence
+    reference: Reference | None
+    truth_points: np.ndarray | None
+    notes: tuple[str, ...]
+
+
+def search_path(data_dir: Path | None) -> list[Path]:
+    """Folders in which files are looked for: ``--data-dir``, ``$VISLAM_DATA``, ``data/``."""
+    variable = os.environ.get("VISLAM_DATA")
+    folders = [data_dir, Path(variable) if variable else None, Path("data")]
+    return [folder for folder in folders if folder is not None]
+
+
+def find_file(name: str, folders: list[Path]) -> Path | None:
+    """First file of that name in the folders, or None."""
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)
+
+
+def open_dataset(
+    config: DataConfig, *, seed: int, data_dir: Path | None = None, allow_stand_in: bool = True
+) -> Dataset:
+    """Read or simulate, then repair.
+
+    Parameters
+    ----------
+    config : DataConfig
+    seed : int
+        Seed of a simulation.
+    data_dir : Path, optional
+        First folder to look for files.
+    allow_stand_in : bool
+        Whether a missing recording may be replaced by the config's simulation.
+
+    Raises
+    ------
+    DataError
+        If the recording is missing and may not be replaced, or cannot be used.
+    """
+    folders = search_path(data_dir)
+    path = None if config.file is None else find_file(config.file, folders)
+    if path is not None:
+        return _recorded(config, path, folders)
+    if config.file is not None and (not allow_stand_in or config.simulation is None):
+        looked = ", ".join(str(folder) for folder in folders)
+        raise DataError(
+            f"{config.file}: not found in {looked}; put it into one of these folders, or name its folder "
+            "with --data-dir or $VISLAM_DATA"
+        )
+    return _simulated(config, seed)
+
+
+def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
+    sequence = load_course_npz(path, invert_extrinsic=config.invert_extrinsic)
+    sequence = repair.turn_body_axes(sequence, config.body_axes)
+    if config.camera_position_imu is not None:
+        mounting = sequence.rig.imu_T_cam.copy()
+        mounting[:3, 3] = config.camera_position_imu
+        sequence = replace(sequence, rig=replace(sequence.rig, imu_T_cam=mounting))
+    if config.baseline is not None:
+        sequence = replace(sequence, rig=replace(sequence.rig, baseline=config.baseline))
+    sequence = _repair(sequence, config)
+    if config.reference is None:
+        return Dataset(sequence, None, None, ("no reference: nothing here says how far off an estimate is",))
+    found = find_file(config.reference.file, [path.parent, *folders])
+    if found is None:
+        note = f"reference {config.reference.file} not found: runs are compared with each other only"
+        _log.warning(note)
+        return Dataset(sequence, None, None, (note,))
+    reference = load_reference(
+        found,
+        config.reference.format,
+        name=config.reference.name,
+        limits=config.reference.limits,
+        imu_T_cam=sequence.rig.imu_T_cam,
+        frames=len(sequence),
+    )
+    return Dataset(sequence, reference, None, ())
+
+
+def _simulated(config: DataConfig, seed: int) -> Dataset:
+    assert config.simulation is not None
+    wanted = config.file
+    name = "simulation" if wanted is None else f"stand-in for {wanted}"
+    raw, truth = simulate(config.simulation, seed=seed, name=name)
+    sequence = _repair(raw, config)
+    # Every repair keeps an observation or drops it, in order: match what is left by frame and pixels.
+    place = {key: row for row, key in enumerate(_keys(raw))}
+    points = truth.points_world[[place[key] for key in _keys(sequence)]]
+    notes = (f"SIMULATED: {name}, no recorded data was used",)
+    _log.warning(notes[0])
+    return Dataset(sequence, truth_reference(truth.world_T_imu), points, notes)
+
+
+def _keys(sequence: Sequence) -> list[tuple[int, bytes]]:
+    return [(int(k), row.tobytes()) for k, row in zip(sequence.frame_of, sequence.pixels, strict=True)]
+
+
+def _repair(sequence: Sequence, config: DataConfig) -> Sequence:
+    """Apply the repairs that recorded and simulated data share; each counts what it did."""
+    sequence = replace(sequence, clock_offset=config.clock_offset)
+    if config.velocity == "levelled":
+        sequence = repair.separate_climb_rate(sequence)
+    if config.cut_stale_tracks:
+        sequence = repair.cut_stale_tracks(sequence)
+    sequence = repair.gate_disparity(
+        sequence, minimum=config.min_disparity_px, row_difference=config.max_row_difference_px
+    )
+    sequence = repair.split_interrupted_tracks(sequence)
+    if config.consensus_threshold is not None:
+        sequence = cut_inconsistent_tracks(sequence, config.consensus_threshold)
+    sequence = repair.drop_single_sightings(sequence)
+    counts = {
+        **sequence.counts,
+        "landmarks": len(np.unique(sequence.track)),
+        "observations": sequence.observations,
+    }
+    _log.info("%s: %s", sequence.name, ", ".join(f"{key} {value}" for key, value in counts.items()))
+    return replace(sequence, counts=counts)

@@ -1,0 +1,5 @@
+"""Scores saved runs. Knows nothing of estimators: a number can be had again without running one."""
+
+from vislam.evaluation.evaluate import Evaluation, Metric, evaluate
+
+__all__ = ["Evaluation", "Metric", "evaluate"]

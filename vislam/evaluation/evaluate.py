@@ -1,0 +1,145 @@
+"""Metrics of runs against a reference and against each other."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+
+import numpy as np
+
+from vislam.data.reference import Reference
+from vislam.evaluation import trajectory
+from vislam.evaluation.alignment import align
+from vislam.geometry import se3
+from vislam.run import Run
+from vislam.types import Array
+
+_SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number, kept in full.
+
+    Attributes
+    ----------
+    estimator : str
+        Name of the run; ``a|b`` for a comparison of two.
+    key, unit : str
+    value : float
+    against : str
+        The reference it was measured against; empty if none was needed.
+    """
+
+    estimator: str
+    key: str
+    value: float
+    unit: str
+    against: str = ""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All metrics, with look-up."""
+
+    metrics: Sequence[Metric]
+
+    def value(self, estimator: str, key: str) -> float | None:
+        """Value of a metric, or None where it does not exist."""
+        return next((m.value for m in self.metrics if (m.estimator, m.key) == (estimator, key)), None)
+
+    def records(self) -> list[dict[str, object]]:
+        """Plain data for JSON."""
+        return [asdict(metric) for metric in self.metrics]
+
+
+def evaluate(runs: Mapping[str, Run], reference: Reference | None) -> Evaluation:
+    """Score runs, in their order.
+
+    Parameters
+    ----------
+    runs : mapping of name to Run
+        Incomplete runs are scored on the frames they finished.
+    reference : Reference or None
+    """
+    metrics: list[Metric] = []
+    for run in runs.values():
+        if len(run.stamp) < 2:
+            continue
+        if reference is not None:
+            metrics += _against_reference(run, reference)
+        metrics += _of_itself(run)
+    for one, other in combinations(runs.values(), 2):
+        metrics += _between(one, other)
+    return Evaluation(metrics)
+
+
+def _against_reference(run: Run, reference: Reference) -> list[Metric]:
+    name = reference.name
+    found = []
+    for suffix, poses in (("", run.world_T_imu), ("_causal", run.world_T_imu_causal)):
+        if np.count_nonzero(reference.frame < len(poses)) < 3:
+            continue
+        planar = trajectory.match(poses, reference, planar=True)
+        found.append(Metric(run.name, f"ate_planar_rmse{suffix}", planar.ate, "m", name))
+        if not reference.planar:
+            full = trajectory.match(poses, reference, planar=False)
+            found.append(Metric(run.name, f"ate_rmse{suffix}", full.ate, "m", name))
+        if reference.pose is not None:
+            inside = reference.frame < len(poses)
+            moved = poses[reference.frame[inside]] @ reference.imu_T_point
+            drift = trajectory.kitti_drift(moved, reference.pose[inside])
+            if drift is not None:
+                found.append(Metric(run.name, f"kitti_t_rel{suffix}", drift[0], "%", name))
+                found.append(Metric(run.name, f"kitti_r_rel{suffix}", drift[1], "deg/100m", name))
+    return found
+
+
+def _of_itself(run: Run) -> list[Metric]:
+    metrics = [
+        Metric(run.name, "path_length", trajectory.path_length(run.world_T_imu), "m"),
+        Metric(run.name, "height_end", float(run.world_T_imu[-1, 2, 3]), "m"),
+    ]
+    if run.dof.sum() > 0:
+        metrics.append(Metric(run.name, "nis_per_dof", float(run.nis.sum() / run.dof.sum()), "1"))
+    for key, percentile in _SPEED_KEYS.items():
+        metrics.append(Metric(run.name, key, float(1e3 * np.percentile(run.step_time, percentile)), "ms"))
+    late = run.counts.get("observations_used_late", 0)
+    metrics += [
+        Metric(run.name, "total_time_s", run.total_time, "s"),
+        Metric(run.name, "peak_rss_mb", run.peak_rss / 1e6, "MB"),
+        Metric(run.name, "landmarks", float(len(run.track)), "1"),
+        Metric(run.name, "observations_used", float(run.used.sum() + late), "1"),
+        Metric(run.name, "observations_gated", float(run.gated.sum()), "1"),
+        Metric(run.name, "frames", float(len(run.stamp)), "1"),
+    ]
+    return metrics
+
+
+def _between(one: Run, other: Run) -> list[Metric]:
+    """How far two runs are apart: poses aligned by nothing but their common start, and maps."""
+    frames = min(len(one.stamp), len(other.stamp))
+    if frames < 3:
+        return []
+    pair = f"{one.name}|{other.name}"
+    apart = one.world_T_imu[:frames, :3, 3] - other.world_T_imu[:frames, :3, 3]
+    metrics = [Metric(pair, "trajectory_distance_rmse", _rms(apart), "m")]
+    rotation, translation = align(
+        other.world_T_imu[:frames, :3, 3], one.world_T_imu[:frames, :3, 3]
+    )
+    moved = other.world_T_imu[:frames, :3, 3] @ rotation.T + translation
+    metrics.append(
+        Metric(pair, "trajectory_distance_aligned_rmse", _rms(one.world_T_imu[:frames, :3, 3] - moved), "m")
+    )
+    common, first, second = np.intersect1d(one.track, other.track, return_indices=True)
+    if len(common):
+        pose = se3.from_rotation_translation(rotation, translation)
+        gap = one.points_world[first] - se3.transform(pose, other.points_world[second])
+        metrics += [
+            Metric(pair, "landmarks_common", float(len(common)), "1"),
+            Metric(pair, "map_distance_median", float(np.median(np.linalg.norm(gap, axis=1))), "m"),
+        ]
+    return metrics
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

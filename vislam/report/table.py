@@ -1,0 +1,53 @@
+"""The table of a comparison: rows of metrics, a column for each estimator."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from vislam.evaluation import Evaluation
+from vislam.run import Run
+
+_ROWS = (
+    ("ate_rmse", "ATE, SE(3) aligned", "m", 2),
+    ("ate_planar_rmse", "ATE, planar aligned", "m", 2),
+    ("path_length", "path length", "m", 1),
+    ("kitti_t_rel", "KITTI drift", "%", 2),
+    ("kitti_r_rel", "KITTI turn drift", "deg/100m", 3),
+    ("nis_per_dof", "NIS per degree of freedom", "", 2),
+    ("landmarks", "landmarks", "", 0),
+    ("observations_used", "observations used", "", 0),
+    ("observations_gated", "observations gated", "", 0),
+    ("step_time_p50_ms", "step time, median", "ms", 1),
+    ("step_time_p95_ms", "step time, 95th percentile", "ms", 1),
+    ("total_time_s", "total time", "s", 1),
+    ("peak_rss_mb", "peak memory", "MB", 0),
+)
+SHORT = ("ate_rmse", "ate_planar_rmse", "path_length", "kitti_t_rel", "nis_per_dof",
+         "observations_used", "step_time_p50_ms", "total_time_s", "peak_rss_mb")
+"""Rows that the terminal shows: ten at most, with the status."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table ready to be drawn."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def comparison_table(
+    runs: Mapping[str, Run], evaluation: Evaluation, *, keys: Sequence[str] | None = None
+) -> Table:
+    """Rows that at least one estimator has, a column each; ``keys`` selects rows."""
+    rows = []
+    for key, title, unit, digits in _ROWS:
+        if keys is not None and key not in keys:
+            continue
+        values = [evaluation.value(name, key) for name in runs]
+        if any(value is not None for value in values):
+            label = f"{title} [{unit}]" if unit else title
+            rows.append([label, *("-" if v is None else f"{v:.{digits}f}" for v in values)])
+    if not all(run.complete for run in runs.values()):
+        states = ["complete" if run.complete else f"INCOMPLETE ({len(run.stamp)} of {run.frames_expected})"
+                  for run in runs.values()]
+        rows.insert(0, ["status", *states])
+    return Table(["", *runs], rows)

@@ -1,0 +1,49 @@
+"""What a comparison shows in the terminal: notes, a progress bar, one table."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from vislam.report.table import Table
+
+_FEWEST_COLUMNS = 100
+"""Width of a table that goes to a file or a pipe."""
+
+
+class Terminal:
+    """Prints to standard output; the progress bar is quiet when that is no terminal."""
+
+    def __init__(self) -> None:
+        self._console = Console(highlight=False)
+        if not self._console.is_terminal:
+            self._console = Console(highlight=False, width=_FEWEST_COLUMNS)
+
+    def note(self, text: str) -> None:
+        """Print a line."""
+        self._console.print(text, markup=False, soft_wrap=True)
+
+    @contextmanager
+    def progress(self, title: str, total: int) -> Iterator[Progress]:
+        """Show a bar while the block works; ``update(0, completed=...)`` moves it."""
+        bar = Progress(
+            TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            console=self._console, disable=not self._console.is_terminal, transient=True,
+        )
+        with bar:
+            bar.add_task(title, total=total)
+            yield bar
+
+    def table(self, table: Table, *, title: str, path: Path) -> None:
+        """Print the closing table and where the report is."""
+        drawn = RichTable(title=title)
+        for index, name in enumerate(table.header):
+            drawn.add_column(Text(name), justify="left" if index == 0 else "right")
+        for row in table.rows:
+            drawn.add_row(*(Text(cell) for cell in row))
+        self._console.print(drawn)
+        self.note(f"report: {path}")
