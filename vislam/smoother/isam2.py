@@ -13,7 +13,7 @@ from vislam.data.sequence import Frame
 from vislam.errors import DivergedError
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
-from vislam.simulation.settings import STRICT, Positive
+from vislam.simulation.settings import STRICT, NonNegative, Positive
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import B, X, landmark, thresholds
 from vislam.smoother.triangulation import triangulate
@@ -39,6 +39,8 @@ class Isam2Options:
     """Relinearise a pose that moved by more than this [m]."""
     landmark_threshold: Positive = 0.05
     """Relinearise a landmark that moved by more than this share of its depth."""
+    wildfire_threshold: NonNegative = 0.01
+    """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
     start_clearance: Positive = 5.0
     """A landmark starts when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3
@@ -116,10 +118,12 @@ class Isam2Estimator:
 
     def finalize(self) -> Estimate:
         """Relinearise everything a few times and return all poses and landmarks."""
+        everything = gtsam.ISAM2UpdateParams()
+        everything.forceFullSolve = True
         for _ in range(self._options.final_iterations):
-            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.ISAM2UpdateParams(), "the end")
+            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything, "the end")
         self.counts["landmarks_too_weak"] += len(self._waiting)
-        values = self._isam.calculateEstimate()
+        values = self._isam.calculateBestEstimate()
         poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._poses))])
         tracks = sorted(self._keys)
         points = np.array([values.atPoint3(self._keys[track]) for track in tracks]).reshape(-1, 3)
@@ -239,7 +243,9 @@ class Isam2Estimator:
 def _parameters(options: Isam2Options) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.relinearizeSkip = 1
+    # Cholesky loses rank on these graphs where all landmarks in view are far away.
     parameters.setFactorization("QR")
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
     pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
     # The bias enters all but linearly: a change of 1 rad/s would matter, none of that size occurs.
     parameters.setRelinearizeThreshold(
