@@ -8,11 +8,17 @@ import pytest
 
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.source import Dataset, open_dataset
+from vislam.geometry import se3
 from vislam.simulation import SimulationConfig
 
 SHORT = SimulationConfig(
-    frames=25, tracks_in_view=25, pixel_sigma_px=0.3, stale_probability=0.1,
-    gyro_bias=(0.003, -0.002, 0.004), gyro_sigma=0.002, velocity_sigma=0.02,
+    frames=25,
+    tracks_in_view=25,
+    pixel_sigma_px=0.3,
+    stale_probability=0.1,
+    gyro_bias=(0.003, -0.002, 0.004),
+    gyro_sigma=0.002,
+    velocity_sigma=0.02,
 )
 
 
@@ -44,3 +50,8 @@ def recorded(name: str) -> Path:
     if not (folder / name).is_file():
         pytest.skip(f"recorded file {name} is not there (VISLAM_DATA)")
     return folder / name
+
+
+def from_first(pose: np.ndarray) -> np.ndarray:
+    """Poses relative to the first one, which is where every estimator starts."""
+    return se3.inverse(pose[0]) @ pose

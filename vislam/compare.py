@@ -18,7 +18,9 @@ from vislam.errors import ConfigError, DataError
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = _parser().parse_args(arguments)
-    logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR, format="%(name)s: %(message)s")
+    logging.basicConfig(
+        level=logging.INFO if options.verbose else logging.ERROR, format="%(name)s: %(message)s"
+    )
     try:
         return _compare(options)
     except (ConfigError, DataError) as error:
@@ -34,7 +36,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add("--seed", type=int, help="seed of whatever is simulated")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override a config value by dotted path")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a config value by dotted path",
+    )
     add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     add("--verbose", action="store_true", help="log what is read, cut and dropped")

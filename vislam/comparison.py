@@ -110,7 +110,11 @@ def run_all(
     for name, solver in estimators.items():
         with terminal.progress(name, len(sequence)) as bar:
             runs[name] = estimator.run(
-                solver, sequence, sigma, name=name, refused=refused,
+                solver,
+                sequence,
+                sigma,
+                name=name,
+                refused=refused,
                 on_frame=lambda k, bar=bar: bar.update(0, completed=k + 1),  # type: ignore[misc]
             )
         if name == config.gates_from:
@@ -136,7 +140,14 @@ def write_results(
         write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
         write_ply(folder / f"{name}.ply", run.points_world)
     provenance = _provenance()
-    write_metrics(folder / "metrics.json", config, dataset, runs, evaluation, provenance)
+    write_metrics(
+        folder / "metrics.json",
+        config,
+        dataset=dataset,
+        runs=runs,
+        evaluation=evaluation,
+        provenance=provenance,
+    )
     paths = {}
     for name, figure in all_figures(runs, dataset.reference, title=_title(config, dataset)).items():
         paths[name] = folder / "figures" / f"{name}.png"
@@ -159,6 +170,7 @@ def write_results(
 def write_metrics(
     path: Path,
     config: Config,
+    *,
     dataset: Dataset,
     runs: Mapping[str, Run],
     evaluation: Evaluation,
@@ -179,7 +191,12 @@ def write_metrics(
             "notes": list(dataset.notes),
         },
         "runs": {
-            name: {"complete": run.complete, "error": run.error, "frames": len(run.stamp), "counts": run.counts}
+            name: {
+                "complete": run.complete,
+                "error": run.error,
+                "frames": len(run.stamp),
+                "counts": run.counts,
+            }
             for name, run in runs.items()
         },
         "provenance": dict(provenance),

@@ -167,12 +167,12 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
 
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
     """Return the configuration with other estimators."""
-    return replace(config, estimators=estimators)  # type: ignore[type-var]
+    return replace(config, estimators=estimators)
 
 
 def dump(config: Config) -> str:
     """YAML of the effective configuration, defaults filled in."""
-    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)  # type: ignore[call-overload]
+    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
 
 
 def _plain(value: Any) -> Any:
@@ -199,4 +199,14 @@ def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
     tree[last] = value
 
 
-__all__ = ["Config", "DataConfig", "NoiseConfig", "Probability", "ReferenceConfig", "dump", "load", "parse", "with_estimators"]
+__all__ = [
+    "Config",
+    "DataConfig",
+    "NoiseConfig",
+    "Probability",
+    "ReferenceConfig",
+    "dump",
+    "load",
+    "parse",
+    "with_estimators",
+]

@@ -69,9 +69,7 @@ def step_residuals(sequence: Sequence) -> Array:
     out = np.full((sequence.observations, 3), np.nan)
     for k in np.flatnonzero(np.diff(start) >= _FEWEST):
         old, new = before[start[k] : start[k + 1]], after[start[k] : start[k + 1]]
-        out[new] = _rigid_residuals(
-            sequence.rig, points[old], z[new], spread=spread[old], guess=predicted[k]
-        )
+        out[new] = _rigid_residuals(sequence.rig, points[old], z[new], spread=spread[old], guess=predicted[k])
     return out
 
 

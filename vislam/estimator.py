@@ -97,7 +97,7 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """An estimator: built from a :class:`Problem` and options, fed frames in order, then asked for its end."""
+    """What is built from a :class:`Problem` and options, fed frames in order, then asked for its end."""
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame; ``refused (n,)`` marks observations that a shared gate has taken out."""

@@ -1,5 +1,6 @@
 """Peak memory of a part of the program."""
 
+import contextlib
 import resource
 import sys
 from pathlib import Path
@@ -19,10 +20,8 @@ class PeakMemory:
     peak: int = 0
 
     def __enter__(self) -> Self:
-        try:
+        with contextlib.suppress(OSError):
             _CLEAR.write_text("5", encoding="ascii")
-        except OSError:
-            pass
         return self
 
     def __exit__(

@@ -80,7 +80,7 @@ class Run:
             else:
                 plain[item.name] = value
         with replace_whole(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, plain=np.array(json.dumps(plain)), **arrays)
+            np.savez_compressed(file, allow_pickle=False, plain=np.array(json.dumps(plain)), **arrays)
 
     @classmethod
     def load(cls, path: Path) -> "Run":

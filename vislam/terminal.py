@@ -31,8 +31,13 @@ class Terminal:
     def progress(self, title: str, total: int) -> Iterator[Progress]:
         """Show a bar while the block works; ``update(0, completed=...)`` moves it."""
         bar = Progress(
-            TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-            console=self._console, disable=not self._console.is_terminal, transient=True,
+            TextColumn("{task.description:16}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=not self._console.is_terminal,
+            transient=True,
         )
         with bar:
             bar.add_task(title, total=total)

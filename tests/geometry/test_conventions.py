@@ -33,7 +33,9 @@ def test_logarithm_inverts_the_exponential(rng, size):
 def test_retract_and_local_are_gtsams(rng):
     one, other, xi = se3.exp(rng.normal(size=6)), se3.exp(rng.normal(size=6)), rng.normal(size=6)
     assert np.allclose(se3.retract(one, xi), gtsam.Pose3(one).retract(xi).matrix())
-    assert np.allclose(se3.local(one, other), gtsam.Pose3.Logmap(gtsam.Pose3(one).between(gtsam.Pose3(other))))
+    assert np.allclose(
+        se3.local(one, other), gtsam.Pose3.Logmap(gtsam.Pose3(one).between(gtsam.Pose3(other)))
+    )
 
 
 def test_adjoint_moves_a_perturbation_across(rng):
@@ -60,7 +62,9 @@ def test_series_and_closed_form_meet(rng):
 def test_names_cancel_and_points_move_outwards(rng):
     a_T_b, b_T_c = se3.exp(rng.normal(size=(2, 6)))
     points_c = rng.normal(size=(4, 3))
-    assert np.allclose(se3.transform(a_T_b @ b_T_c, points_c), se3.transform(a_T_b, se3.transform(b_T_c, points_c)))
+    assert np.allclose(
+        se3.transform(a_T_b @ b_T_c, points_c), se3.transform(a_T_b, se3.transform(b_T_c, points_c))
+    )
     assert np.allclose(se3.inverse(a_T_b) @ a_T_b, np.eye(4))
 
 

@@ -69,6 +69,7 @@ def test_transition_is_the_derivative_of_the_motion(rng):
     matrix, noise = transition(step)
     after = pose @ step.prev_T_next
     for axis, error in enumerate(1e-6 * np.eye(12)):
+
         def moved(sign, error=error):
             other = integrate(twist, bias=bias + sign * error[6:], dt=0.2, noise=NOISE)
             return se3.local(after, se3.retract(pose, sign * error[:6]) @ other.prev_T_next)

@@ -48,9 +48,7 @@ def load_course_npz(path: Path, *, invert_extrinsic: bool = False) -> Sequence:
         with zipfile.ZipFile(path) as archive:
             return _Reader(archive, path).sequence(invert_extrinsic=invert_extrinsic)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
-        raise DataError(
-            f"{path}: not a whole npz archive ({error}); fetch or copy the file again"
-        ) from None
+        raise DataError(f"{path}: not a whole npz archive ({error}); fetch or copy the file again") from None
 
 
 class _Reader:
@@ -109,8 +107,10 @@ class _Reader:
         stream = self._archive.open(name)
         try:
             version = np.lib.format.read_magic(stream)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else (
-                np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else (np.lib.format.read_array_header_2_0)
             )
             shape, fortran, dtype = read(stream)
         except ValueError as error:
@@ -133,7 +133,9 @@ class _Reader:
                 raise self._fail(key, f"smaller than {_SMALL_ARRAY_BYTES} bytes", f"shape {found}")
             flat = np.frombuffer(stream.read(), dtype=dtype).astype(np.float64)
         if not np.all(np.isfinite(flat)):
-            raise self._fail(key, "free of NaN and infinity", f"{np.count_nonzero(~np.isfinite(flat))} of them")
+            raise self._fail(
+                key, "free of NaN and infinity", f"{np.count_nonzero(~np.isfinite(flat))} of them"
+            )
         return flat.reshape(found, order="F" if fortran else "C")
 
     def _stamps(self) -> Array:
@@ -143,8 +145,11 @@ class _Reader:
         stamp = stamp.reshape(-1)
         wrong = np.flatnonzero(np.diff(stamp) <= 0)
         if len(wrong):
-            raise self._fail("time_stamps", "increasing [s]", f"{stamp[wrong[0] + 1]:.6f} after "
-                             f"{stamp[wrong[0]]:.6f} at frame {wrong[0] + 1}")
+            raise self._fail(
+                "time_stamps",
+                "increasing [s]",
+                f"{stamp[wrong[0] + 1]:.6f} after {stamp[wrong[0]]:.6f} at frame {wrong[0] + 1}",
+            )
         return stamp
 
     def _intrinsics(self) -> dict[str, float]:
@@ -152,8 +157,11 @@ class _Reader:
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
         plain = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         if not (np.allclose(matrix, plain, atol=1e-9) and min(fx, fy, cx, cy) > 0):
-            raise self._fail("K", "an intrinsic matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with "
-                             "positive entries [px]", f"{matrix.tolist()}")
+            raise self._fail(
+                "K",
+                "an intrinsic matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive entries [px]",
+                f"{matrix.tolist()}",
+            )
         return {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
 
     def _baseline(self) -> float:
@@ -167,9 +175,12 @@ class _Reader:
         rotation = pose[:3, :3]
         off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
         if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0 or np.any(pose[3] != [0, 0, 0, 1]):
-            raise self._fail(key, "a rigid transform (rotation, determinant +1, last row 0 0 0 1)",
-                             f"R^T R off by {off:.2g}, determinant {np.linalg.det(rotation):.3g}, "
-                             f"last row {pose[3].tolist()}")
+            raise self._fail(
+                key,
+                "a rigid transform (rotation, determinant +1, last row 0 0 0 1)",
+                f"R^T R off by {off:.2g}, determinant {np.linalg.det(rotation):.3g}, "
+                f"last row {pose[3].tolist()}",
+            )
         u, _, vt = np.linalg.svd(rotation)
         return se3.from_rotation_translation(u @ vt, pose[:3, 3])
 
@@ -181,8 +192,9 @@ class _Reader:
         with stream:
             position, value = _stream_seen(stream, dtype)
         if not np.all(np.isfinite(value)):
-            raise self._fail("features", "free of NaN and infinity",
-                             f"{np.count_nonzero(~np.isfinite(value))} of them")
+            raise self._fail(
+                "features", "free of NaN and infinity", f"{np.count_nonzero(~np.isfinite(value))} of them"
+            )
         component, track, frame = np.unravel_index(position, shape, order="F" if fortran else "C")
         order = np.lexsort((component, track, frame))
         component, track, frame, value = component[order], track[order], frame[order], value[order]

@@ -91,5 +91,10 @@ def load_reference(
 def truth_reference(world_T_imu: Array) -> Reference:
     """Reference of a simulation: its exact truth, poses ``(T, 4, 4)``."""
     return Reference(
-        "truth", "exact, simulated", np.arange(len(world_T_imu)), world_T_imu[:, :3, 3], world_T_imu, np.eye(4)
+        "truth",
+        "exact, simulated",
+        np.arange(len(world_T_imu)),
+        world_T_imu[:, :3, 3],
+        world_T_imu,
+        np.eye(4),
     )

@@ -133,8 +133,14 @@ class Sequence:
         for k in range(len(self)):
             rows = slice(self.offset[k], self.offset[k + 1])
             yield Frame(
-                k=k, stamp=float(self.stamp[k]), dt=float(dt[k]), twist=twist[k],
-                climb_rate=float(climb[k]), track=self.track[rows], z=z[rows], sigma=sigma[rows],
+                k=k,
+                stamp=float(self.stamp[k]),
+                dt=float(dt[k]),
+                twist=twist[k],
+                climb_rate=float(climb[k]),
+                track=self.track[rows],
+                z=z[rows],
+                sigma=sigma[rows],
             )
 
     def step_means(self) -> tuple[Array, Array]:

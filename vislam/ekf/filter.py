@@ -84,13 +84,11 @@ class EkfEstimator:
     def _fuse(
         self, frame: Frame, slots: IntArray, rows: IntArray, allowed: BoolArray
     ) -> tuple[BoolArray, BoolArray, float]:
-        """Gate and fuse the landmarks in ``slots``, seen in ``rows``; masks of fused and gated, and the NIS."""
+        """Gate and fuse the landmarks in ``slots``, seen in ``rows``: masks of fused and gated, NIS."""
         nothing = np.zeros(len(slots), bool)
         if not allowed.any():
             return nothing, nothing, 0.0
-        prediction = measurement.predict(
-            self._problem.rig, self.state.world_T_imu, self.state.points[slots]
-        )
+        prediction = measurement.predict(self._problem.rig, self.state.world_T_imu, self.state.points[slots])
         cross, spread = measurement.covariances(self.state, slots, prediction)
         each = np.arange(len(slots))
         spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += measurement.variances(

@@ -72,9 +72,7 @@ def covariances(state: JointState, slots: IntArray, prediction: Prediction) -> t
     return cross, spread.reshape(n, 3, n, 3)
 
 
-def initialise(
-    rig: StereoRig, world_T_imu: Array, z: Array
-) -> tuple[Array, Array, Array]:
+def initialise(rig: StereoRig, world_T_imu: Array, z: Array) -> tuple[Array, Array, Array]:
     """Landmarks from their first measurement (eq. 20) and their derivatives.
 
     Returns

@@ -123,9 +123,7 @@ def _between(one: Run, other: Run) -> list[Metric]:
     pair = f"{one.name}|{other.name}"
     apart = one.world_T_imu[:frames, :3, 3] - other.world_T_imu[:frames, :3, 3]
     metrics = [Metric(pair, "trajectory_distance_rmse", _rms(apart), "m")]
-    rotation, translation = align(
-        other.world_T_imu[:frames, :3, 3], one.world_T_imu[:frames, :3, 3]
-    )
+    rotation, translation = align(other.world_T_imu[:frames, :3, 3], one.world_T_imu[:frames, :3, 3])
     moved = other.world_T_imu[:frames, :3, 3] @ rotation.T + translation
     metrics.append(
         Metric(pair, "trajectory_distance_aligned_rmse", _rms(one.world_T_imu[:frames, :3, 3] - moved), "m")

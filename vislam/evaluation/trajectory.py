@@ -87,7 +87,7 @@ def kitti_drift(estimate: Array, reference: Array) -> tuple[float, float] | None
             got = se3.inverse(estimate[first]) @ estimate[last]
             error = se3.inverse(got) @ wanted
             turn = float(np.linalg.norm(so3.log(error[:3, :3])))
-            drifts.append((np.linalg.norm(error[:3, 3]) / length, turn / length))
+            drifts.append((float(np.linalg.norm(error[:3, 3])) / length, turn / length))
     if not drifts:
         return None
     translation, rotation = np.mean(drifts, axis=0)

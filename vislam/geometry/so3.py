@@ -47,11 +47,7 @@ def left_jacobian(omega: Array) -> Array:
     angle = np.linalg.norm(omega, axis=-1)
     first, second = cosine_coefficient(angle), sine_coefficient(angle)
     matrix = hat(omega)
-    return (
-        np.eye(3)
-        + first[..., None, None] * matrix
-        + second[..., None, None] * (matrix @ matrix)
-    )
+    return np.eye(3) + first[..., None, None] * matrix + second[..., None, None] * (matrix @ matrix)
 
 
 def cosine_coefficient(angle: Array) -> Array:

@@ -101,12 +101,26 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
         aligned = match(run.world_T_imu, reference, planar=reference.planar)
         driven = distance_driven(run.world_T_imu)
         colour = colours(runs)[name]
-        axes.plot(driven[aligned.frame], np.linalg.norm(aligned.error, axis=1), ".-", ms=2, lw=0.8,
-                  color=colour, label=name)
+        axes.plot(
+            driven[aligned.frame],
+            np.linalg.norm(aligned.error, axis=1),
+            ".-",
+            ms=2,
+            lw=0.8,
+            color=colour,
+            label=name,
+        )
         if np.isfinite(run.pose_cov).any() and run.dof.sum() > 0:
             spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov[:, 3:, 3:])[:, -1])
-            axes.fill_between(driven, 0.0, spread, color=colour, alpha=0.15, lw=0,
-                              label=f"{name}: 3 sigma as claimed at the time, from the start")
+            axes.fill_between(
+                driven,
+                0.0,
+                spread,
+                color=colour,
+                alpha=0.15,
+                lw=0,
+                label=f"{name}: 3 sigma as claimed at the time, from the start",
+            )
     axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]", ylim=(0, None))
     axes.legend(loc="best", fontsize=8)
     return figure
@@ -116,15 +130,17 @@ def nis_over_time(runs: Mapping[str, Run]) -> Figure:
     """Normalised innovation squared per degree of freedom, with its 95 % interval under the model."""
     figure = Figure(figsize=(9, 4), layout="constrained")
     axes = figure.subplots()
-    window = np.ones(_SMOOTHING)
     for name, run in runs.items():
         if run.dof.sum() == 0:
             continue
+        window = np.ones(min(_SMOOTHING, len(run.dof)))
         dof = np.convolve(run.dof, window, mode="same")
         nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
         axes.plot(run.stamp, nis, lw=1, color=colours(runs)[name], label=f"{name}, {_SMOOTHING} frames")
         low, high = (chi2.ppf(share, np.maximum(dof, 1.0)) / np.maximum(dof, 1.0) for share in (0.025, 0.975))
-        axes.fill_between(run.stamp, low, high, color="0.8", lw=0, label="95 % interval of a consistent filter")
+        axes.fill_between(
+            run.stamp, low, high, color="0.8", lw=0, label="95 % interval of a consistent filter"
+        )
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel="time [s]", ylabel="NIS per degree of freedom", ylim=(0, None))
     axes.legend(loc="best", fontsize=8)

@@ -21,8 +21,17 @@ _ROWS = (
     ("total_time_s", "total time", "s", 1),
     ("peak_rss_mb", "peak memory", "MB", 0),
 )
-SHORT = ("ate_rmse", "ate_planar_rmse", "path_length", "kitti_t_rel", "nis_per_dof",
-         "observations_used", "step_time_p50_ms", "total_time_s", "peak_rss_mb")
+SHORT = (
+    "ate_rmse",
+    "ate_planar_rmse",
+    "path_length",
+    "kitti_t_rel",
+    "nis_per_dof",
+    "observations_used",
+    "step_time_p50_ms",
+    "total_time_s",
+    "peak_rss_mb",
+)
 """Rows that the terminal shows: ten at most, with the status."""
 
 
@@ -47,7 +56,9 @@ def comparison_table(
             label = f"{title} [{unit}]" if unit else title
             rows.append([label, *("-" if v is None else f"{v:.{digits}f}" for v in values)])
     if not all(run.complete for run in runs.values()):
-        states = ["complete" if run.complete else f"INCOMPLETE ({len(run.stamp)} of {run.frames_expected})"
-                  for run in runs.values()]
+        states = [
+            "complete" if run.complete else f"INCOMPLETE ({len(run.stamp)} of {run.frames_expected})"
+            for run in runs.values()
+        ]
         rows.insert(0, ["status", *states])
     return Table(["", *runs], rows)

@@ -55,7 +55,7 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
     """
     generator = np.random.default_rng(seed)
     path = DrivePath(config, generator)
-    stamp = config.period * np.arange(config.frames)
+    stamp: Array = config.period * np.arange(config.frames, dtype=np.float64)
     world_T_imu = path.pose(stamp)
     origin = se3.inverse(world_T_imu[0])
     upright = se3.from_rotation_translation(world_T_imu[0, :3, :3], np.zeros(3))

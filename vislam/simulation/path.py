@@ -38,9 +38,7 @@ class DrivePath:
         nearest = np.clip(np.searchsorted(self._grid, time), 1, len(self._grid) - 1) - 1
         since = time - self._grid[nearest]
         half = self._grid[nearest] + 0.5 * since
-        flow = (
-            self._velocity(self._grid[nearest]) + 4.0 * self._velocity(half) + self._velocity(time)
-        ) / 6.0
+        flow = (self._velocity(self._grid[nearest]) + 4.0 * self._velocity(half) + self._velocity(time)) / 6.0
         plane = self._plane[nearest] + flow * since[:, None]
         ahead = np.column_stack([np.cos(heading), np.sin(heading)])
         height, slope = self._height(time)
@@ -86,7 +84,9 @@ class DrivePath:
 
     def _speed(self, time: Array) -> Array:
         """Speed [m/s]: slower in corners, uneven between them; its mean is the configured one."""
-        base = 1.0 + 0.15 * np.sin(0.31 * time + self._phases[2]) + 0.08 * np.sin(0.83 * time + self._phases[3])
+        base = (
+            1.0 + 0.15 * np.sin(0.31 * time + self._phases[2]) + 0.08 * np.sin(0.83 * time + self._phases[3])
+        )
         if self._config.path == "town":
             when, angle, width = self._turns.T
             slow = 0.35 * np.abs(angle) / 1.5 * np.exp(-(((time[:, None] - when) / (1.5 * width)) ** 2))

@@ -59,9 +59,10 @@ def simulate_tracks(
         else:
             alive.keep(_in_view(config, rig, se3.transform(se3.inverse(pose), alive.point)))
             alive.pixels = _observe(config, rig, pose, alive, generator)
-        missing = max(0, round(generator.normal(config.tracks_in_view, 0.08 * config.tracks_in_view))
-                      - len(alive.track))
-        alive.add(_births(config, rig, pose, born, missing, generator))
+        missing = max(
+            0, round(generator.normal(config.tracks_in_view, 0.08 * config.tracks_in_view)) - len(alive.track)
+        )
+        alive.add(_births(config, rig, pose, first=born, count=missing, generator=generator))
         born += missing
         lengths.append(len(alive.track))
         written.append((alive.track, alive.pixels, alive.point))
@@ -71,7 +72,12 @@ def simulate_tracks(
 
 
 def _births(
-    config: SimulationConfig, rig: StereoRig, pose: Array, first: int, count: int,
+    config: SimulationConfig,
+    rig: StereoRig,
+    pose: Array,
+    *,
+    first: int,
+    count: int,
     generator: np.random.Generator,
 ) -> _Alive:
     """New tracks anywhere in the image, at depths spread evenly in their logarithm."""

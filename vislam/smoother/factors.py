@@ -1,5 +1,7 @@
 """The one builder of factors: every smoother poses the same problem, and it is the filter's."""
 
+from typing import Any
+
 import gtsam
 import numpy as np
 
@@ -53,7 +55,7 @@ class FactorBuilder:
     def _noise(self, sigma: float) -> gtsam.noiseModel.Base:
         if sigma not in self._stereo_noise:
             sigmas = sigma * np.sqrt([1.0, 1.0, ROW_VARIANCE])
-            noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
             if self._kernel is not None:
                 noise = gtsam.noiseModel.Robust.Create(self._kernel, noise)
             self._stereo_noise[sigma] = noise
@@ -81,9 +83,7 @@ def twist_factor(
         Covariance of the step, on its right.
     """
 
-    def error(
-        _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
-    ) -> Array:
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Any] | None) -> Array:
         xi = dt * (twist - values.atVector(bias))
         relative = values.atPose3(before).between(values.atPose3(after)).matrix()
         mismatch = se3.inverse(se3.exp(xi)) @ relative

@@ -85,8 +85,12 @@ class Isam2Estimator:
         self._astray: list[int] = []
         self._set_aside: set[int] = set()
         self._frozen = gtsam.KeyList()
-        self.counts = {"landmarks_too_weak": 0, "landmarks_set_aside": 0, "views_dropped_waiting": 0,
-                       "observations_used_late": 0}
+        self.counts = {
+            "landmarks_too_weak": 0,
+            "landmarks_set_aside": 0,
+            "views_dropped_waiting": 0,
+            "observations_used_late": 0,
+        }
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
@@ -178,11 +182,11 @@ class Isam2Estimator:
         """Poses ``(n, V, 4, 4)``, measurements ``(n, V, 3)`` and noise ``(n, V)`` of waiting tracks."""
         lists = [self._waiting[track] for track in tracks]
         most = max(len(views) for views in lists)
-        frames = np.array([[view.k for view in views] + [views[0].k] * (most - len(views)) for views in lists])
-        z = np.array([[view.z for view in views] + [views[0].z] * (most - len(views)) for views in lists])
-        sigma = np.array(
-            [[view.sigma for view in views] + [np.inf] * (most - len(views)) for views in lists]
+        frames = np.array(
+            [[view.k for view in views] + [views[0].k] * (most - len(views)) for views in lists]
         )
+        z = np.array([[view.z for view in views] + [views[0].z] * (most - len(views)) for views in lists])
+        sigma = np.array([[view.sigma for view in views] + [np.inf] * (most - len(views)) for views in lists])
         first = int(frames.min())
         return np.array(self._poses[first:])[frames - first], z, sigma
 

@@ -39,9 +39,7 @@ class Start:
     ready: BoolArray
 
 
-def triangulate(
-    rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float
-) -> Start:
+def triangulate(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float) -> Start:
     """Triangulate tracks from all their views.
 
     Parameters
@@ -84,9 +82,7 @@ def triangulate(
     return Start(points_world, points_cam[:, 2], ready)
 
 
-def _linearise(
-    rig: StereoRig, view_T_first: Array, z: Array, mean: Array
-) -> tuple[Array, Array, Array]:
+def _linearise(rig: StereoRig, view_T_first: Array, z: Array, mean: Array) -> tuple[Array, Array, Array]:
     """Residuals, Jacobians by the disparity-space point, and depths, for every view."""
     moved = se3.transform(view_T_first, rig.back_project(mean)[:, None, None])[:, :, 0]
     depth = moved[..., 2]

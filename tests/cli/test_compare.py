@@ -1,0 +1,298 @@
+"""The command itself: what it leaves behind, and how it answers bad input."""
+
+import io
+import json
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vislam.compare import main
+
+ROOT = Path(__file__).parents[2]
+TINY = str(ROOT / "configs" / "tiny.yaml")
+DS3 = str(ROOT / "configs" / "ds3.yaml")
+
+
+@pytest.fixture(autouse=True)
+def no_data(monkeypatch, tmp_path):
+    monkeypatch.delenv("VISLAM_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+def course_file(path, **changes):
+    """A small course file, good unless changed; a key changed to None is left out."""
+    frames, tracks = 6, 8
+    features = np.full((4, tracks, frames), -1.0)
+    stereo = np.array([300.0, 200.0, 280.0, 200.0])
+    for track in range(tracks):
+        features[:, track, :4] = ([*stereo, 9.0 * track, 5.0 * track, 9.0 * track, 5.0 * track])[:, None]
+        features[0, track, :4] += np.arange(4)
+        features[2, track, :4] += np.arange(4)
+    arrays = {
+        "time_stamps": 0.1 * np.arange(frames)[None],
+        "features": features,
+        "linear_velocity": np.ones((3, frames)),
+        "angular_velocity": np.zeros((3, frames)),
+        "K": np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]),
+        "b": np.array(0.5),
+        "imu_T_cam": np.array([[0, 0, 1.0, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+    }
+    arrays.update(changes)
+    np.savez(path, **{key: value for key, value in arrays.items() if value is not None})
+
+
+def config_file(path, text):
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_tiny_leaves_everything_behind(tmp_path, capsys):
+    assert main(["--config", TINY, "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("SIMULATED")
+    assert "[SIMULATED]" in shown
+    (folder,) = (tmp_path / "out").iterdir()
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    wanted = {
+        "config.yaml",
+        "metrics.json",
+        "report.html",
+        "figures/top_view.png",
+        "figures/nis.png",
+        "figures/error.png",
+        "figures/height_attitude.png",
+        "figures/step_time.png",
+    }
+    for estimator in ("dead_reckoning", "ekf", "isam2"):
+        wanted |= {f"{estimator}.tum", f"{estimator}.ply", f"runs/{estimator}.npz"}
+    assert names == wanted
+    document = json.loads((folder / "metrics.json").read_text())
+    assert document["schema_version"] == 1
+    assert document["dataset"]["stand_in"] is True
+    assert document["dataset"]["reference"] == "truth"
+    value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
+    for estimator in ("dead_reckoning", "ekf", "isam2"):
+        for key in (
+            "ate_rmse",
+            "path_length",
+            "step_time_p50_ms",
+            "step_time_p95_ms",
+            "total_time_s",
+            "peak_rss_mb",
+            "landmarks",
+            "observations_used",
+            "observations_gated",
+        ):
+            assert (estimator, key) in value
+        lines = np.loadtxt(folder / f"{estimator}.tum")
+        assert lines.shape == (30, 8)
+    assert value["ekf", "ate_rmse"] < 0.1
+    assert value["isam2", "ate_rmse"] < 0.1
+    page = (folder / "report.html").read_text()
+    assert "[SIMULATED]" in page
+    assert page.count("data:image/png;base64,") == 5
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_a_rerun_lands_in_the_same_place_with_the_same_numbers(tmp_path):
+    for _ in range(2):
+        assert main(["--config", TINY, "--out", "out", "--estimators", "ekf"]) == 0
+    (folder,) = (tmp_path / "out").iterdir()
+    first = np.loadtxt(folder / "ekf.tum")
+    assert main(["--config", TINY, "--out", "other", "--estimators", "ekf"]) == 0
+    (other,) = (tmp_path / "other").iterdir()
+    assert np.array_equal(first, np.loadtxt(other / "ekf.tum"))
+    assert folder.name == other.name
+
+
+def test_a_recorded_file_is_read_and_its_missing_reference_is_said(tmp_path, capsys):
+    course_file(tmp_path / "small.npz")
+    text = (
+        "name: s\ndata: {file: small.npz, reference: {file: no.txt, format: planar_xy, name: r, limits: l}}\n"
+    )
+    config = config_file(tmp_path / "c.yaml", text)
+    assert main(["--config", config, "--data-dir", str(tmp_path), "--estimators", "ekf"]) == 0
+    assert "no.txt not found" in capsys.readouterr().out
+    document = json.loads(next((tmp_path / "results").rglob("metrics.json")).read_text())
+    assert document["dataset"]["stand_in"] is False
+    assert document["dataset"]["reference"] is None
+
+
+def test_a_failed_estimator_gives_1_and_keeps_what_it_had_done(tmp_path, capsys, monkeypatch):
+    from vislam.ekf import EkfEstimator
+    from vislam.errors import DivergedError
+
+    whole = EkfEstimator.process
+
+    def failing(self, frame, refused):
+        if frame.k == 12:
+            raise DivergedError("covariance lost, smallest variance -1")
+        return whole(self, frame, refused)
+
+    monkeypatch.setattr(EkfEstimator, "process", failing)
+    assert main(["--config", TINY, "--out", "out"]) == 1
+    shown = capsys.readouterr().out
+    assert "INCOMPLETE (12 of 30)" in shown
+    assert "frame 12: DivergedError: covariance lost" in shown
+    (folder,) = (tmp_path / "out").iterdir()
+    assert len(np.loadtxt(folder / "ekf.tum")) == 12
+    assert len(np.loadtxt(folder / "isam2.tum")) == 30
+    document = json.loads((folder / "metrics.json").read_text())
+    assert document["runs"]["ekf"]["complete"] is False
+    assert "incomplete" in (folder / "report.html").read_text()
+
+
+def test_a_missing_recording_is_simulated_unless_that_is_refused(capsys):
+    assert main(["--config", DS3, "--no-stand-in", "--out", "out"]) == 2
+    message = capsys.readouterr().err
+    assert "03.npz: not found in data" in message
+    assert "--data-dir" in message
+    assert not Path("out").exists()
+    short = ["--set", "data.simulation.frames=20", "--estimators", "ekf"]
+    assert main(["--config", DS3, "--out", "out", *short]) == 0
+    assert capsys.readouterr().out.startswith("SIMULATED: stand-in for 03.npz")
+
+
+def object_array():
+    out = np.empty(2, dtype=object)
+    out[:] = [pickle, 1]
+    return np.array([{"a": 1}], dtype=object)
+
+
+BAD_FILES = {
+    "a missing key": ({"K": None}, "'K' is missing"),
+    "wrong shape": ({"angular_velocity": np.zeros((3, 5))}, "'angular_velocity' must be of shape (3, 6)"),
+    "features of another length": (
+        {"features": np.zeros((4, 8, 7))},
+        "'features' must be of shape (4, M, 6)",
+    ),
+    "NaN stamps": (
+        {"time_stamps": np.array([[0, 1, np.nan, 3, 4, 5.0]])},
+        "'time_stamps' must be free of NaN",
+    ),
+    "unsorted stamps": (
+        {"time_stamps": np.array([[0, 1, 3, 2, 4, 5.0]])},
+        "'time_stamps' must be increasing",
+    ),
+    "no intrinsic matrix": ({"K": np.eye(3)[::-1]}, "'K' must be an intrinsic matrix"),
+    "no rigid extrinsic": ({"imu_T_cam": 2.0 * np.eye(4)}, "'imu_T_cam' must be a rigid transform"),
+    "negative baseline": ({"b": np.array(-0.5)}, "'b' must be one baseline > 0"),
+    "pickled objects": ({"b": object_array()}, "pickled objects are refused"),
+    "text": ({"K": np.array([["a"] * 3] * 3)}, "'K' must be a plain array of real numbers"),
+    "NaN features": ({"features": np.full((4, 8, 6), np.nan)}, "'features' must be free of NaN"),
+    "nothing seen": ({"features": np.full((4, 8, 6), -1.0)}, "no stereo observation is left"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(BAD_FILES))
+def test_bad_files_get_one_line_and_2(case, tmp_path, capsys):
+    changes, message = BAD_FILES[case]
+    course_file(tmp_path / "small.npz", **changes)
+    config = config_file(tmp_path / "c.yaml", "name: s\ndata: {file: small.npz}\n")
+    assert main(["--config", config, "--data-dir", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.95])
+def test_a_file_cut_short_gets_one_line_and_2(share, tmp_path, capsys):
+    buffer = io.BytesIO()
+    course_file(buffer)
+    whole = buffer.getvalue()
+    (tmp_path / "small.npz").write_bytes(whole[: int(share * len(whole))])
+    config = config_file(tmp_path / "c.yaml", "name: s\ndata: {file: small.npz}\n")
+    assert main(["--config", config, "--data-dir", str(tmp_path)]) == 2
+    assert "not a whole npz archive" in capsys.readouterr().err
+
+
+BAD_CONFIGS = {
+    "unknown key": (
+        "name: s\ndata: {simulation: {frames: 9, wheels: 4}}\n",
+        "data.simulation.wheels: unknown key",
+    ),
+    "unknown top key": ("name: s\ndata: {simulation: {}}\nnoize: {}\n", "noize: unknown key"),
+    "out of range": (
+        "name: s\ndata: {simulation: {}}\nnoise: {pixel_sigma_px: -2}\n",
+        "noise.pixel_sigma_px",
+    ),
+    "wrong type": ("name: s\ndata: {simulation: {frames: many}}\n", "data.simulation.frames"),
+    "bad axes": ("name: s\ndata: {file: a.npz, body_axes: [x, y, -z]}\n", "right-handed"),
+    "no data": ("name: s\ndata: {}\n", "one of file and simulation must be given"),
+    "missing data": ("name: s\n", "data: "),
+    "not a mapping": ("- 1\n", "expected a mapping"),
+    "not YAML": ("a: [1\n", "not a YAML file"),
+    "unknown estimator": (
+        "name: s\ndata: {simulation: {frames: 9}}\nestimators: {ukf: {}}\n",
+        "estimators.ukf: no such estimator; installed are dead_reckoning, ekf, isam2",
+    ),
+    "unknown option": (
+        "name: s\ndata: {simulation: {frames: 9}}\nestimators: {isam2: {lag: 3}}\n",
+        "estimators.isam2.lag: unknown key",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", sorted(BAD_CONFIGS))
+def test_bad_configs_get_one_line_and_2(case, tmp_path, capsys):
+    text, message = BAD_CONFIGS[case]
+    assert main(["--config", config_file(tmp_path / "c.yaml", text)]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_missing_config_gets_2(capsys):
+    assert main(["--config", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml: cannot be read" in capsys.readouterr().err
+
+
+def test_the_effective_config_can_be_fed_back(tmp_path, capsys):
+    assert main(["--config", TINY, "--dump-config", "--set", "noise.pixel_sigma_px=0.7"]) == 0
+    text = capsys.readouterr().out
+    assert "pixel_sigma_px: 0.7" in text
+    assert main(["--config", config_file(tmp_path / "c.yaml", text), "--dump-config"]) == 0
+    assert capsys.readouterr().out == text
+
+
+def test_as_a_process_it_is_quiet_but_for_table_and_path(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "vislam.compare", "--config", TINY, "--estimators", "dead_reckoning,ekf"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "MPLBACKEND": "agg"},
+    )
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert done.stdout.strip().endswith("report.html")
+    assert "\x1b" not in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "file", "limit"), [("ds3", "03.npz", (4.0, 3.0)), ("kitti07", "0027.npz", (9.0, 9.0))]
+)
+def test_the_recorded_drives_are_as_accurate_as_promised(name, file, limit, tmp_path):
+    from tests.conftest import recorded
+
+    folder = recorded(file).parent
+    config = str(ROOT / "configs" / f"{name}.yaml")
+    assert main(["--config", config, "--data-dir", str(folder), "--out", "out", "--no-stand-in"]) == 0
+    document = json.loads(next((tmp_path / "out").rglob("metrics.json")).read_text())
+    value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
+    key = "ate_planar_rmse" if name == "ds3" else "ate_rmse"
+    assert value["dead_reckoning", key] > 10.0
+    assert value["ekf", key] < limit[0]
+    assert value["isam2", key] < limit[1]
+    if name == "ds3":
+        for estimator in ("ekf", "isam2"):
+            assert value[estimator, "path_length"] == pytest.approx(1342.0, rel=0.01)

@@ -1,0 +1,106 @@
+"""The working filter: against the dense one, on noise-free data, its gate, its landmarks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import from_first
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.config import Config, DataConfig
+from vislam.data.source import Dataset, open_dataset
+from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.ekf.dense import DenseFilter
+from vislam.ekf.state import JointState
+from vislam.errors import DivergedError
+from vislam.estimator import run
+from vislam.simulation import SimulationConfig
+
+
+def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
+    problem = make_problem(short_config, short)
+    working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
+    for frame in short.sequence.frames(pixel_sigma(short_config, short)):
+        record = working.process(frame, np.zeros(len(frame.track), bool))
+        dense.process(frame)
+        assert np.allclose(record.world_T_imu, dense.world_T_imu, atol=1e-9)
+        assert np.allclose(working.state.bias, dense.bias, atol=1e-9)
+        # Relative to the variances: the dense filter loses symmetry in the last digits.
+        assert np.allclose(record.pose_cov, dense.cov[:6, :6], rtol=1e-6, atol=1e-13)
+    assert frame.k == len(short.sequence) - 1
+
+
+def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config: Config):
+    problem = make_problem(short_config, short)
+    working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
+    for frame in short.sequence.frames(pixel_sigma(short_config, short)):
+        working.process(frame, np.zeros(len(frame.track), bool))
+        dense.process(frame)
+    slots = [dense.track.index(int(track)) for track in working.state.track]
+    assert len(slots) > 5
+    assert np.allclose(working.state.points, dense.points[slots], atol=1e-8)
+    rows = np.concatenate([np.arange(12), *(12 + 3 * slot + np.arange(3) for slot in slots)])
+    assert np.allclose(working.state.cov, dense.cov[np.ix_(rows, rows)], rtol=1e-6, atol=1e-10)
+
+
+def test_without_noise_it_ends_at_the_truth(short_config: Config):
+    clean = SimulationConfig(frames=40, pixel_sigma_px=0.0, gyro_sigma=0.0, velocity_sigma=0.0)
+    config = replace(short_config, data=DataConfig(simulation=clean))
+    dataset = open_dataset(config.data, seed=1)
+    problem = make_problem(config, dataset)
+    result = run(
+        EkfEstimator(problem, EkfOptions()), dataset.sequence, pixel_sigma(config, dataset), name="ekf"
+    )
+    assert result.complete
+    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    # What is left is the straight line between inertial samples, not the filter's.
+    assert np.abs(error).max() < 5e-3
+
+
+def test_the_bias_is_found(short_config: Config):
+    biased = SimulationConfig(frames=250, gyro_bias=(0.01, -0.012, 0.008), pixel_sigma_px=0.3)
+    config = replace(short_config, data=DataConfig(simulation=biased))
+    dataset = open_dataset(config.data, seed=2)
+    result = run(
+        EkfEstimator(make_problem(config, dataset), EkfOptions()),
+        dataset.sequence,
+        pixel_sigma(config, dataset),
+        name="ekf",
+    )
+    assert np.allclose(result.bias[-1, :3], biased.gyro_bias, atol=1e-3)
+
+
+def test_the_gate_refuses_planted_outliers_and_little_else(short_config: Config):
+    planted = SimulationConfig(frames=120, outlier_probability=0.05, pixel_sigma_px=0.3)
+    config = replace(
+        short_config,
+        data=DataConfig(simulation=planted, consensus_threshold=None, max_row_difference_px=100.0),
+    )
+    dataset = open_dataset(config.data, seed=4)
+    result = run(
+        EkfEstimator(make_problem(config, dataset), EkfOptions()),
+        dataset.sequence,
+        pixel_sigma(config, dataset),
+        name="ekf",
+    )
+    rows = dataset.sequence.pixels[:, 1] - dataset.sequence.pixels[:, 3]
+    wrong = (np.abs(rows) > 3.0) & (dataset.sequence.age() > 0)
+    fused_later = dataset.sequence.age() > 0
+    assert result.gated[wrong].mean() > 0.9
+    # Tracks that begin with an outlier have all their good observations refused: hence not 0.3 %.
+    assert result.gated[fused_later & ~wrong].mean() < 0.2
+    assert not np.any(result.used & result.gated)
+
+
+def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
+    ungated = EkfEstimator(make_problem(short_config, short), EkfOptions(gate=False))
+    result = run(ungated, short.sequence, pixel_sigma(short_config, short), name="ekf")
+    ratio = result.nis.sum() / result.dof.sum()
+    # Five standard deviations of a chi-square of that size.
+    assert abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / result.dof.sum()) + 0.03
+
+
+def test_a_lost_covariance_raises():
+    state = JointState(pose_sigma=np.ones(6), bias=np.zeros(6), bias_sigma=np.ones(6))
+    with pytest.raises(DivergedError, match="smallest eigenvalue -1"):
+        state.update(np.zeros((12, 3)), -np.eye(3), np.zeros(3))
