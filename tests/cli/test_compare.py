@@ -30,7 +30,7 @@ def course_file(path, **changes):
     features = np.full((4, tracks, frames), -1.0)
     stereo = np.array([300.0, 200.0, 280.0, 200.0])
     for track in range(tracks):
-        features[:, track, :4] = ([*stereo, 9.0 * track, 5.0 * track, 9.0 * track, 5.0 * track])[:, None]
+        features[:, track, :4] = (stereo + track * np.array([9.0, 5.0, 9.0, 5.0]))[:, None]
         features[0, track, :4] += np.arange(4)
         features[2, track, :4] += np.arange(4)
     arrays = {
