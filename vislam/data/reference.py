@@ -11,6 +11,12 @@ from vislam.geometry import se3
 from vislam.types import Array, IntArray
 
 
+_UPRIGHT = se3.from_rotation_translation(
+    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
+)
+"""From camera axes to x forward, y left, z up, so that planar and height mean the same for every reference."""
+
+
 @dataclass(frozen=True)
 class Reference:
     """Poses or positions to compare with.
@@ -84,7 +90,7 @@ def load_reference(
         frame = table[inside, 0].astype(np.int64)
         return Reference(name, limits, frame, table[inside, 1:], None, np.eye(4))
     rows = table[:frames].reshape(-1, 3, 4)
-    pose = se3.from_rotation_translation(rows[:, :, :3], rows[:, :, 3])
+    pose = _UPRIGHT @ se3.from_rotation_translation(rows[:, :, :3], rows[:, :, 3])
     return Reference(name, limits, np.arange(len(pose)), pose[:, :3, 3], pose, imu_T_cam)
 
 

@@ -29,15 +29,15 @@ class Isam2Options:
 
     huber: Positive | None = 1.5
     """Threshold of the Huber kernel on stereo factors, in standard deviations; null for none."""
-    window: Annotated[int, Field(ge=1)] = 10
+    window: Annotated[int, Field(ge=1)] = 5
     """Frames after its last sight for which a variable may still be relinearised, until the end."""
     final_iterations: Annotated[int, Field(ge=0)] = 1
     """Updates after the last frame in which every variable may be relinearised."""
-    pose_threshold_rad: Positive = 0.002
+    pose_threshold_rad: Positive = 0.01
     """Relinearise a pose that turned by more than this [rad]."""
-    pose_threshold_m: Positive = 0.02
+    pose_threshold_m: Positive = 0.1
     """Relinearise a pose that moved by more than this [m]."""
-    landmark_threshold: Positive = 0.05
+    landmark_threshold: Positive = 0.15
     """Relinearise a landmark that moved by more than this share of its depth."""
     wildfire_threshold: NonNegative = 0.01
     """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
