@@ -1,0 +1,41 @@
+"""``python -m vislam.report.markdown results/<id>/metrics.json``: the results table for a README."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+_ROWS = (
+    ("ate_rmse", "ATE, SE(3) aligned [m]", 2),
+    ("ate_planar_rmse", "ATE, planar aligned [m]", 2),
+    ("ate_planar_rmse_causal", "the same, as known at each time [m]", 2),
+    ("path_length", "path length [m]", 1),
+    ("kitti_t_rel", "KITTI drift [%]", 2),
+    ("nis_per_dof", "NIS per degree of freedom", 2),
+    ("observations_used", "observations used", 0),
+    ("step_time_p50_ms", "step time, median [ms]", 1),
+    ("step_time_p95_ms", "step time, 95th percentile [ms]", 1),
+    ("total_time_s", "total time [s]", 1),
+    ("peak_rss_mb", "peak memory [MB]", 0),
+)
+
+
+def results_table(document: dict[str, Any]) -> str:
+    """Markdown table of a ``metrics.json``, with data, reference, machine and date."""
+    values = {(metric["estimator"], metric["key"]): metric["value"] for metric in document["metrics"]}
+    names = list(document["runs"])
+    lines = ["| | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
+    for key, title, digits in _ROWS:
+        cells = [values.get((name, key)) for name in names]
+        if any(cell is not None for cell in cells):
+            drawn = ("–" if cell is None else f"{cell:.{digits}f}" for cell in cells)
+            lines.append(f"| {title} | " + " | ".join(drawn) + " |")
+    dataset, made = document["dataset"], document["provenance"]
+    simulated = " (SIMULATED)" if dataset["stand_in"] else ""
+    lines += ["", f"{dataset['name']}{simulated} against {dataset['reference']} "
+              f"({dataset['reference_limits']}); {made['cpu']}, gtsam {made['gtsam']}, {made['date']}."]  # fmt: skip
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(results_table(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))))
