@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from vislam.compare import main
+from vislam.report.markdown import results_table
 
 ROOT = Path(__file__).parents[2]
 TINY = str(ROOT / "configs" / "tiny.yaml")
@@ -96,7 +97,10 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     page = (folder / "report.html").read_text()
     assert "[SIMULATED]" in page
     assert page.count("data:image/png;base64,") == 5
-    assert "http" not in page.replace("http-equiv", "")
+    assert "http" not in page
+    table = results_table(document)
+    assert "simulation (SIMULATED) against truth" in table
+    assert f"| {value['ekf', 'ate_rmse']:.2f} |" in table
 
 
 def test_a_rerun_lands_in_the_same_place_with_the_same_numbers(tmp_path):

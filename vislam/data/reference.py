@@ -10,11 +10,10 @@ from vislam.errors import DataError
 from vislam.geometry import se3
 from vislam.types import Array, IntArray
 
-
 _UPRIGHT = se3.from_rotation_translation(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
 )
-"""From camera axes to x forward, y left, z up, so that planar and height mean the same for every reference."""
+"""From camera axes to x forward, y left, z up: planar and height then mean the same for all."""
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,13 @@ def results_table(document: dict[str, Any]) -> str:
     for key, title, digits in _ROWS:
         cells = [values.get((name, key)) for name in names]
         if any(cell is not None for cell in cells):
-            drawn = ("–" if cell is None else f"{cell:.{digits}f}" for cell in cells)
+            drawn = ("-" if cell is None else f"{cell:.{digits}f}" for cell in cells)
             lines.append(f"| {title} | " + " | ".join(drawn) + " |")
     dataset, made = document["dataset"], document["provenance"]
     simulated = " (SIMULATED)" if dataset["stand_in"] else ""
-    lines += ["", f"{dataset['name']}{simulated} against {dataset['reference']} "
-              f"({dataset['reference_limits']}); {made['cpu']}, gtsam {made['gtsam']}, {made['date']}."]  # fmt: skip
+    against = f"{dataset['reference']} ({dataset['reference_limits']})"
+    machine = f"{made['cpu']}, gtsam {made['gtsam']}, {made['date']}"
+    lines += ["", f"{dataset['name']}{simulated} against {against}; {machine}."]
     return "\n".join(lines)
 
 
