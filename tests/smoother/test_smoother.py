@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+import pytest
 
 from tests.conftest import from_first
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.errors import DivergedError
 from vislam.estimator import run
 from vislam.geometry import se3
+from vislam.repair import split_interrupted_tracks
 from vislam.sensors import StereoRig
 from vislam.simulation import SimulationConfig
 from vislam.smoother import Isam2Estimator, Isam2Options
@@ -101,3 +104,70 @@ def test_refused_observations_are_not_fused(short: Dataset, short_config: Config
         assert result.complete
         assert result.used.any()
         assert not np.any(result.used & refused)
+
+
+def harsh(short_config: Config, *, frames=80, **faults):
+    simulation = SimulationConfig(frames=frames, tracks_in_view=30, **faults)
+    data = DataConfig(simulation=simulation, consensus_threshold=None, max_row_difference_px=200.0)
+    config = replace(short_config, data=data)
+    return config, open_dataset(config.data, seed=8)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.4])
+def test_wrong_associations_do_not_end_the_run(short_config: Config, share):
+    config, dataset = harsh(short_config, outlier_probability=share)
+    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
+    assert result.complete
+    assert np.all(np.isfinite(result.world_T_imu))
+
+
+def test_twenty_frames_without_tracks_are_bridged(short_config: Config):
+    config, dataset = harsh(short_config, pixel_sigma_px=0.3)
+    frame = dataset.sequence.frame_of
+    dark = dataset.sequence.select((frame < 30) | (frame >= 50))
+    sigma = np.full(dark.observations, 0.3)
+    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
+    result = run(estimator, split_interrupted_tracks(dark), sigma, name="isam2")
+    assert result.complete
+    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    assert np.abs(error).max() < 1.0
+
+
+def test_a_step_that_cannot_be_solved_is_rescued_and_counted(short_config: Config, monkeypatch):
+    config, dataset = harsh(short_config, frames=40, pixel_sigma_px=0.3)
+    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options(checkpoint_frames=10))
+    solve = Isam2Estimator._solve
+    failed = []
+
+    def fails_once(self, graph, values, parameters, where):
+        if where == "frame 26" and not failed:
+            failed.append(where)
+            raise DivergedError("planted")
+        return solve(self, graph, values, parameters, where)
+
+    monkeypatch.setattr(Isam2Estimator, "_solve", fails_once)
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert result.counts["frames_without_camera"] == 7
+    assert len(result.world_T_imu) == 40
+    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    assert np.abs(error).max() < 0.5
+
+
+def test_a_step_that_never_can_be_solved_fails_and_keeps_the_rest(short_config: Config, monkeypatch):
+    config, dataset = harsh(short_config, frames=40)
+    solve = Isam2Estimator._solve
+
+    def fails(self, graph, values, parameters, where):
+        if where == "frame 26":
+            raise DivergedError("planted at frame 26")
+        return solve(self, graph, values, parameters, where)
+
+    monkeypatch.setattr(Isam2Estimator, "_solve", fails)
+    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
+    assert not result.complete
+    assert "planted at frame 26" in result.error
+    assert len(result.world_T_imu) == 26

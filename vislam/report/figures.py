@@ -15,6 +15,8 @@ from vislam.types import Array
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+_SMALLEST_ERROR = 1e-2
+"""Where the logarithmic axis of the error starts [m]; on a linear one dead reckoning flattens the rest."""
 _SMOOTHING = 25
 """Frames over which the NIS is averaged."""
 
@@ -114,14 +116,15 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
             spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov[:, 3:, 3:])[:, -1])
             axes.fill_between(
                 driven,
-                0.0,
+                _SMALLEST_ERROR,
                 spread,
                 color=colour,
                 alpha=0.15,
                 lw=0,
                 label=f"{name}: 3 sigma as claimed at the time, from the start",
             )
-    axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]", ylim=(0, None))
+    axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]")
+    axes.set(yscale="log", ylim=(_SMALLEST_ERROR, None))
     axes.legend(loc="best", fontsize=8)
     return figure
 

@@ -1,6 +1,9 @@
 """iSAM2 SLAM, one frame at a time, with GTSAM doing the solving."""
 
+import copy
 from collections.abc import Mapping
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import field
 from typing import Annotated, Any
 
 import gtsam
@@ -45,6 +48,8 @@ class Isam2Options:
     """A landmark starts when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3
     """A landmark whose disparity, as estimated, falls below this has gone astray [px]."""
+    checkpoint_frames: Annotated[int, Field(ge=1)] = 20
+    """Frames between two checkpoints; a step that cannot be solved falls back on the last one."""
     max_waiting_views: Annotated[int, Field(ge=2)] = 30
     """Views that a waiting track keeps; older ones are dropped and counted."""
 
@@ -63,57 +68,123 @@ class _View:
     sigma: float
 
 
+@plain_dataclass
+class _Book:
+    """What the smoother keeps beside the tree; copied whole for a checkpoint.
+
+    Attributes
+    ----------
+    pose, bias : (4, 4), (6,)
+        The newest ones.
+    poses : list of (4, 4)
+        Causal poses.
+    waiting : dict
+        Views of tracks that are not in the graph yet.
+    keys, slots, last_seen : dict
+        Key, factor indices and last frame of each landmark in the graph.
+    seen_in : list
+        Landmarks that got factors in each frame.
+    frozen : list of int
+        Keys that may not be relinearised any more.
+    astray : list of int
+        Landmarks whose factors the next update takes out.
+    set_aside : set of int
+        Tracks that are not fused any more.
+    """
+
+    pose: Array
+    bias: Array
+    poses: list[Array] = field(default_factory=list)
+    waiting: dict[int, list[_View]] = field(default_factory=dict)
+    keys: dict[int, int] = field(default_factory=dict)
+    slots: dict[int, list[int]] = field(default_factory=dict)
+    last_seen: dict[int, int] = field(default_factory=dict)
+    seen_in: list[list[int]] = field(default_factory=list)
+    frozen: list[int] = field(default_factory=list)
+    astray: list[int] = field(default_factory=list)
+    set_aside: set[int] = field(default_factory=set)
+
+
 class Isam2Estimator:
     """Poses, biases and landmarks of the whole drive in one graph.
 
     Only variables seen in the last frames are relinearised on the way: the linearisation of what lies
     behind hardly matters for what comes, and redoing it costs the whole tree. In the end a few updates
     relinearise everything.
+
+    A step that GTSAM cannot solve is not the end: the last checkpoint is restored, the frames since are
+    repeated on the inertial data alone, the tracks they saw are set aside, and the rescue is counted.
     """
 
     def __init__(self, problem: Problem, options: Isam2Options) -> None:
         self._problem, self._options = problem, options
         self._factors = FactorBuilder(problem, huber=options.huber)
         self._isam = gtsam.ISAM2(_parameters(options))
-        self._pose, self._bias = np.eye(4), problem.bias_mean
-        self._poses: list[Array] = []
-        self._waiting: dict[int, list[_View]] = {}
-        self._keys: dict[int, int] = {}
-        self._slots: dict[int, list[int]] = {}
-        self._last_seen: dict[int, int] = {}
-        self._seen_in: list[list[int]] = []
-        self._astray: list[int] = []
-        self._set_aside: set[int] = set()
+        self._book = _Book(np.eye(4), problem.bias_mean)
         self._frozen = gtsam.KeyList()
+        self._checkpoint = (gtsam.ISAM2(self._isam), copy.deepcopy(self._book))
+        self._since: list[Frame] = []
         self.counts = {
             "landmarks_too_weak": 0,
             "landmarks_set_aside": 0,
             "views_dropped_waiting": 0,
             "observations_used_late": 0,
+            "rescues": 0,
+            "frames_without_camera": 0,
+            "final_iterations_undone": 0,
         }
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
+        if frame.k % self._options.checkpoint_frames == 0:
+            self._checkpoint = (gtsam.ISAM2(self._isam), copy.deepcopy(self._book))
+            self._since = []
+        self._since.append(frame)
+        try:
+            return self._step(frame, refused)
+        except RuntimeError:
+            return self._rescue()
+
+    def _rescue(self) -> StepRecord:
+        """Repeat the frames since the checkpoint without the camera."""
+        isam, book = self._checkpoint
+        self._isam, self._book = gtsam.ISAM2(isam), copy.deepcopy(book)
+        self._frozen = gtsam.KeyList()
+        for key in self._book.frozen:
+            self._frozen.push_back(key)
+        for frame in self._since:
+            lost = set(frame.track.tolist())
+            self._book.set_aside |= lost
+            for track in lost & self._book.waiting.keys():
+                del self._book.waiting[track]
+        self.counts["rescues"] += 1
+        self.counts["frames_without_camera"] += len(self._since)
+        for frame in self._since:
+            record = self._step(frame, np.ones(len(frame.track), bool))
+        return record
+
+    def _step(self, frame: Frame, refused: BoolArray) -> StepRecord:
+        book = self._book
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in self._move(frame):
             graph.add(factor)
-        values.insert(X(frame.k), gtsam.Pose3(self._pose))
-        values.insert(B(frame.k), self._bias)
-        self._poses.append(self._pose)
-        views = self._known_views(frame, refused) + self._start_tracks(frame, values)
+        values.insert(X(frame.k), gtsam.Pose3(book.pose))
+        values.insert(B(frame.k), book.bias)
+        book.poses.append(book.pose)
+        views = self._known_views(frame, refused) + self._start_tracks(values)
         for track, view in views:
-            graph.add(self._factors.stereo(view.k, self._keys[track], z=view.z, sigma=view.sigma))
+            graph.add(self._factors.stereo(view.k, book.keys[track], z=view.z, sigma=view.sigma))
         self._update(frame.k, graph, values, [track for track, _ in views])
-        self._pose = self._isam.calculateEstimatePose3(X(frame.k)).matrix()
-        self._bias = self._isam.calculateEstimateVector(B(frame.k))
-        self._poses[-1] = self._pose
+        book.pose = self._isam.calculateEstimatePose3(X(frame.k)).matrix()
+        book.bias = self._isam.calculateEstimateVector(B(frame.k))
+        book.poses[-1] = book.pose
         now = {track for track, view in views if view.k == frame.k}
         self.counts["observations_used_late"] += len(views) - len(now)
         self._find_astray(sorted(now))
         return StepRecord(
-            world_T_imu=self._pose,
+            world_T_imu=book.pose,
             pose_cov=None,
-            bias=self._bias,
+            bias=book.bias,
             nis=0.0,
             dof=0,
             used=np.isin(frame.track, list(now)),
@@ -125,20 +196,26 @@ class Isam2Estimator:
         everything = gtsam.ISAM2UpdateParams()
         everything.forceFullSolve = True
         for _ in range(self._options.final_iterations):
-            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything, "the end")
-        self.counts["landmarks_too_weak"] += len(self._waiting)
+            before = gtsam.ISAM2(self._isam)
+            try:
+                self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything, "the end")
+            except DivergedError:
+                self._isam = before
+                self.counts["final_iterations_undone"] += 1
+                break
+        self.counts["landmarks_too_weak"] += len(self._book.waiting)
         values = self._isam.calculateBestEstimate()
-        poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._poses))])
-        tracks = sorted(self._keys)
-        points = np.array([values.atPoint3(self._keys[track]) for track in tracks]).reshape(-1, 3)
+        poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._book.poses))])
+        tracks = sorted(self._book.keys)
+        points = np.array([values.atPoint3(self._book.keys[track]) for track in tracks]).reshape(-1, 3)
         return Estimate(poses, np.array(tracks, dtype=np.int64), points, None, dict(self.counts))
 
     def _move(self, frame: Frame) -> list[gtsam.NonlinearFactor]:
         """Predict the pose; the factors that tie it to the one before."""
         if frame.k == 0:
             return self._factors.priors()
-        self._pose = self._pose @ se3.exp(frame.dt * (frame.twist - self._bias))
-        return self._factors.motion(frame.k, twist=frame.twist, bias=self._bias, dt=frame.dt)
+        self._book.pose = self._book.pose @ se3.exp(frame.dt * (frame.twist - self._book.bias))
+        return self._factors.motion(frame.k, twist=frame.twist, bias=self._book.bias, dt=frame.dt)
 
     def _known_views(self, frame: Frame, refused: BoolArray) -> list[tuple[int, _View]]:
         """Views of landmarks in the graph; the views of other tracks join those that wait."""
@@ -146,25 +223,25 @@ class Isam2Estimator:
         tracks = frame.track.tolist()
         for row in np.flatnonzero(~refused):
             track = tracks[row]
-            if track in self._set_aside:
+            if track in self._book.set_aside:
                 continue
             view = _View(frame.k, frame.z[row], float(frame.sigma[row]))
-            if track in self._keys:
+            if track in self._book.keys:
                 views.append((track, view))
             else:
-                self._waiting.setdefault(track, []).append(view)
-        for track in self._waiting.keys() - set(tracks):
-            del self._waiting[track]
+                self._book.waiting.setdefault(track, []).append(view)
+        for track in self._book.waiting.keys() - set(tracks):
+            del self._book.waiting[track]
             self.counts["landmarks_too_weak"] += 1
         return views
 
-    def _start_tracks(self, frame: Frame, values: gtsam.Values) -> list[tuple[int, _View]]:
+    def _start_tracks(self, values: gtsam.Values) -> list[tuple[int, _View]]:
         """Put waiting tracks that have become clear into the graph; returns all their views."""
         limit = self._options.max_waiting_views
-        for views in self._waiting.values():
+        for views in self._book.waiting.values():
             self.counts["views_dropped_waiting"] += max(0, len(views) - limit)
             del views[:-limit]
-        tracks = [track for track, views in self._waiting.items() if len(views) > 1]
+        tracks = [track for track, views in self._book.waiting.items() if len(views) > 1]
         if not tracks:
             return []
         start = triangulate(
@@ -173,14 +250,14 @@ class Isam2Estimator:
         started = []
         for index in np.flatnonzero(start.ready):
             track = tracks[index]
-            self._keys[track] = landmark(track, float(start.depth[index]))
-            values.insert(self._keys[track], start.points_world[index])
-            started += [(track, view) for view in self._waiting.pop(track)]
+            self._book.keys[track] = landmark(track, float(start.depth[index]))
+            values.insert(self._book.keys[track], start.points_world[index])
+            started += [(track, view) for view in self._book.waiting.pop(track)]
         return started
 
     def _stack_views(self, tracks: list[int]) -> tuple[Array, Array, Array]:
         """Poses ``(n, V, 4, 4)``, measurements ``(n, V, 3)`` and noise ``(n, V)`` of waiting tracks."""
-        lists = [self._waiting[track] for track in tracks]
+        lists = [self._book.waiting[track] for track in tracks]
         most = max(len(views) for views in lists)
         frames = np.array(
             [[view.k for view in views] + [views[0].k] * (most - len(views)) for views in lists]
@@ -188,31 +265,33 @@ class Isam2Estimator:
         z = np.array([[view.z for view in views] + [views[0].z] * (most - len(views)) for views in lists])
         sigma = np.array([[view.sigma for view in views] + [np.inf] * (most - len(views)) for views in lists])
         first = int(frames.min())
-        return np.array(self._poses[first:])[frames - first], z, sigma
+        return np.array(self._book.poses[first:])[frames - first], z, sigma
 
     def _update(
         self, k: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, tracks: list[int]
     ) -> None:
         """Update the tree, take astray landmarks out of it and let old variables rest."""
-        self._seen_in.append(sorted(set(tracks)))
-        self._last_seen.update(dict.fromkeys(tracks, k))
+        self._book.seen_in.append(sorted(set(tracks)))
+        self._book.last_seen.update(dict.fromkeys(tracks, k))
         old = k - self._options.window
         if old >= 0:
-            self._frozen.push_back(X(old))
-            self._frozen.push_back(B(old))
-            for track in self._seen_in[old]:
-                if self._last_seen[track] == old and track in self._keys:
-                    self._frozen.push_back(self._keys[track])
+            resting = [X(old), B(old)]
+            for track in self._book.seen_in[old]:
+                if self._book.last_seen[track] == old and track in self._book.keys:
+                    resting.append(self._book.keys[track])
+            self._book.frozen += resting
+            for key in resting:
+                self._frozen.push_back(key)
         parameters = gtsam.ISAM2UpdateParams()
         parameters.noRelinKeys = self._frozen
         parameters.removeFactorIndices = [
-            slot for track in self._astray for slot in self._slots.pop(track, [])
+            slot for track in self._book.astray for slot in self._book.slots.pop(track, [])
         ]
-        self._astray = []
+        self._book.astray = []
         result = self._solve(graph, values, parameters, f"frame {k}")
         slots = result.getNewFactorsIndices()
         for track, slot in zip(reversed(tracks), reversed(list(slots)), strict=False):
-            self._slots.setdefault(track, []).append(slot)
+            self._book.slots.setdefault(track, []).append(slot)
 
     def _solve(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, parameters: Any, where: str
@@ -232,15 +311,15 @@ class Isam2Estimator:
         """
         if not tracks:
             return
-        points = np.array([self._isam.calculateEstimatePoint3(self._keys[track]) for track in tracks])
-        cam_T_world = self._problem.rig.cam_T_imu @ se3.inverse(self._pose)
+        points = np.array([self._isam.calculateEstimatePoint3(self._book.keys[track]) for track in tracks])
+        cam_T_world = self._problem.rig.cam_T_imu @ se3.inverse(self._book.pose)
         depth = se3.transform(cam_T_world, points)[:, 2]
         farthest = self._problem.rig.fx * self._problem.rig.baseline / self._options.min_disparity_px
         for index in np.flatnonzero(~((depth > _NEAREST) & (depth < farthest))):
             track = tracks[index]
-            self._astray.append(track)
-            self._set_aside.add(track)
-            del self._keys[track]
+            self._book.astray.append(track)
+            self._book.set_aside.add(track)
+            del self._book.keys[track]
             self.counts["landmarks_set_aside"] += 1
 
 
