@@ -193,18 +193,19 @@ class Isam2Estimator:
 
     def finalize(self) -> Estimate:
         """Relinearise everything a few times and return all poses and landmarks."""
+        # The last update takes the most memory: let go of what only a later step would need.
+        del self._checkpoint
         everything = gtsam.ISAM2UpdateParams()
         everything.forceFullSolve = True
+        values = self._isam.calculateBestEstimate()
         for _ in range(self._options.final_iterations):
-            before = gtsam.ISAM2(self._isam)
             try:
                 self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything, "the end")
             except DivergedError:
-                self._isam = before
                 self.counts["final_iterations_undone"] += 1
                 break
+            values = self._isam.calculateBestEstimate()
         self.counts["landmarks_too_weak"] += len(self._book.waiting)
-        values = self._isam.calculateBestEstimate()
         poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._book.poses))])
         tracks = sorted(self._book.keys)
         points = np.array([values.atPoint3(self._book.keys[track]) for track in tracks]).reshape(-1, 3)
