@@ -16,7 +16,6 @@ from vislam.simulation.settings import (
     STRICT,
     NonNegative,
     Positive,
-    Probability,
     SimulationConfig,
     Vector3,
 )
@@ -197,16 +196,3 @@ def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
         if not isinstance(tree, dict):
             raise ConfigError(f"{dotted}: '{part}' is a value and has no keys below it")
     tree[last] = value
-
-
-__all__ = [
-    "Config",
-    "DataConfig",
-    "NoiseConfig",
-    "Probability",
-    "ReferenceConfig",
-    "dump",
-    "load",
-    "parse",
-    "with_estimators",
-]

@@ -1,6 +1,6 @@
 """Reference trajectories: what a run is scored against, by name and with its limits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -32,6 +32,8 @@ class Reference:
         Full poses of that point's frame.
     imu_T_point : (4, 4)
         Where the reference point sits in the body.
+    track, points_world : (j,), (j, 3)
+        True landmarks of a simulation [m]; empty elsewhere.
     """
 
     name: str
@@ -40,6 +42,8 @@ class Reference:
     position: Array
     pose: Array | None
     imu_T_point: Array
+    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def planar(self) -> bool:
@@ -93,13 +97,22 @@ def load_reference(
     return Reference(name, limits, np.arange(len(pose)), pose[:, :3, 3], pose, imu_T_cam)
 
 
-def truth_reference(world_T_imu: Array) -> Reference:
-    """Reference of a simulation: its exact truth, poses ``(T, 4, 4)``."""
+def truth_reference(world_T_imu: Array, track: IntArray, points_world: Array) -> Reference:
+    """Reference of a simulation: its exact truth.
+
+    Parameters
+    ----------
+    world_T_imu : (T, 4, 4)
+    track, points_world : (j,), (j, 3)
+        True landmarks [m].
+    """
     return Reference(
-        "truth",
-        "exact, simulated",
-        np.arange(len(world_T_imu)),
-        world_T_imu[:, :3, 3],
-        world_T_imu,
-        np.eye(4),
+        name="truth",
+        limits="exact, simulated",
+        frame=np.arange(len(world_T_imu)),
+        position=world_T_imu[:, :3, 3],
+        pose=world_T_imu,
+        imu_T_point=np.eye(4),
+        track=track,
+        points_world=points_world,
     )

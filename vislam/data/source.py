@@ -28,15 +28,12 @@ class Dataset:
     sequence : Sequence
         Repaired.
     reference : Reference or None
-    truth_points : (n, 3) or None
-        In a simulation, the true point behind each observation of ``sequence`` [m].
     notes : tuple of str
         What a reader of the report must know: stand-in, missing reference.
     """
 
     sequence: Sequence
     reference: Reference | None
-    truth_points: np.ndarray | None
     notes: tuple[str, ...]
 
 
@@ -96,12 +93,12 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
         sequence = replace(sequence, rig=replace(sequence.rig, baseline=config.baseline))
     sequence = _repair(sequence, config)
     if config.reference is None:
-        return Dataset(sequence, None, None, ("no reference: nothing here says how far off an estimate is",))
+        return Dataset(sequence, None, ("no reference: nothing here says how far off an estimate is",))
     found = find_file(config.reference.file, [path.parent, *folders])
     if found is None:
         note = f"reference {config.reference.file} not found: runs are compared with each other only"
         _log.warning(note)
-        return Dataset(sequence, None, None, (note,))
+        return Dataset(sequence, None, (note,))
     reference = load_reference(
         found,
         config.reference.format,
@@ -110,7 +107,7 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
         imu_T_cam=sequence.rig.imu_T_cam,
         frames=len(sequence),
     )
-    return Dataset(sequence, reference, None, ())
+    return Dataset(sequence, reference, ())
 
 
 def _simulated(config: DataConfig, seed: int) -> Dataset:
@@ -122,9 +119,10 @@ def _simulated(config: DataConfig, seed: int) -> Dataset:
     # Every repair keeps an observation or drops it, in order: match what is left by frame and pixels.
     place = {key: row for row, key in enumerate(_keys(raw))}
     points = truth.points_world[[place[key] for key in _keys(sequence)]]
+    track, first = np.unique(sequence.track, return_index=True)
     notes = (f"SIMULATED: {name}, no recorded data was used",)
     _log.warning(notes[0])
-    return Dataset(sequence, truth_reference(truth.world_T_imu), points, notes)
+    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points[first]), notes)
 
 
 def _keys(sequence: Sequence) -> list[tuple[int, bytes]]:

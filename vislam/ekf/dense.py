@@ -13,6 +13,7 @@ from vislam.ekf import measurement
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import BIAS, NAV, POSE
+from vislam.sensors import measurement_variances
 from vislam.types import Array
 
 
@@ -66,7 +67,7 @@ class DenseFilter:
             jacobian[3 * place : 3 * place + 3, POSE] = found.by_pose[place]
             column = NAV + 3 * slot
             jacobian[3 * place : 3 * place + 3, column : column + 3] = found.by_point[place]
-        noise = np.diag(measurement.variances(frame.sigma[list(rows)]).ravel())
+        noise = np.diag(measurement_variances(frame.sigma[list(rows)]).ravel())
         spread = jacobian @ self.cov @ jacobian.T + noise
         gain = np.linalg.solve(spread, jacobian @ self.cov).T
         self._retract(gain @ (frame.z[list(rows)] - found.z).ravel())
@@ -77,7 +78,7 @@ class DenseFilter:
         points, by_pose, by_measurement = measurement.initialise(
             self._problem.rig, self.world_T_imu, frame.z[row : row + 1]
         )
-        noise = np.diag(measurement.variances(frame.sigma[row : row + 1])[0])
+        noise = np.diag(measurement_variances(frame.sigma[row : row + 1])[0])
         grow = np.zeros((3, len(self.cov)))
         grow[:, POSE] = by_pose[0]
         cross = grow @ self.cov

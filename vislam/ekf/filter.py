@@ -13,6 +13,7 @@ from vislam.ekf import measurement
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.motion import POSE
+from vislam.sensors import measurement_variances
 from vislam.simulation.settings import STRICT
 from vislam.types import Array, BoolArray, IntArray
 
@@ -91,7 +92,7 @@ class EkfEstimator:
         prediction = measurement.predict(self._problem.rig, self.state.world_T_imu, self.state.points[slots])
         cross, spread = measurement.covariances(self.state, slots, prediction)
         each = np.arange(len(slots))
-        spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += measurement.variances(
+        spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += measurement_variances(
             frame.sigma[rows]
         )
         innovation = frame.z[rows] - prediction.z
@@ -120,7 +121,7 @@ class EkfEstimator:
             points,
             by_pose=by_pose,
             by_measurement=by_measurement,
-            noise=measurement.variances(frame.sigma[new]),
+            noise=measurement_variances(frame.sigma[new]),
         )
 
     def _retire(self, seen: BoolArray) -> None:

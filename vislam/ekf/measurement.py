@@ -8,13 +8,7 @@ from vislam.ekf.state import JointState
 from vislam.geometry import se3, so3
 from vislam.motion import NAV, POSE
 from vislam.sensors import StereoRig
-from vislam.sensors.stereo import ROW_VARIANCE
 from vislam.types import Array, IntArray
-
-
-def variances(sigma: Array) -> Array:
-    """Variances ``(n, 3)`` [px^2] of (uL, uR, v) from the pixel noise ``(n,)`` [px]."""
-    return sigma[:, None] ** 2 * np.array([1.0, 1.0, ROW_VARIANCE])
 
 
 @dataclass(frozen=True)

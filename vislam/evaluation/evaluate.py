@@ -91,7 +91,22 @@ def _against_reference(run: Run, reference: Reference) -> list[Metric]:
             if drift is not None:
                 found.append(Metric(run.name, f"kitti_t_rel{suffix}", drift[0], "%", name))
                 found.append(Metric(run.name, f"kitti_r_rel{suffix}", drift[1], "deg/100m", name))
-    return found
+    return found + _map_error(run, reference)
+
+
+def _map_error(run: Run, reference: Reference) -> list[Metric]:
+    """Distance of landmarks to their true points, with the first pose laid on the true one.
+
+    Not with the trajectory's alignment: that of a straight drive leaves the turn about it free.
+    """
+    common, own, true = np.intersect1d(run.track, reference.track, return_indices=True)
+    if not len(common):
+        return []
+    assert reference.pose is not None
+    start = reference.pose[0] @ se3.inverse(run.world_T_imu[0])
+    moved = se3.transform(start, run.points_world[own])
+    distance = np.linalg.norm(moved - reference.points_world[true], axis=1)
+    return [Metric(run.name, "map_error_median", float(np.median(distance)), "m", reference.name)]
 
 
 def _of_itself(run: Run) -> list[Metric]:

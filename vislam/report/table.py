@@ -12,6 +12,7 @@ _ROWS = (
     ("path_length", "path length", "m", 1),
     ("kitti_t_rel", "KITTI drift", "%", 2),
     ("kitti_r_rel", "KITTI turn drift", "deg/100m", 3),
+    ("map_error_median", "landmark error, median", "m", 2),
     ("nis_per_dof", "NIS per degree of freedom", "", 2),
     ("landmarks", "landmarks", "", 0),
     ("observations_used", "observations used", "", 0),

@@ -8,7 +8,7 @@ import numpy as np
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import integrate
-from vislam.sensors.stereo import ROW_VARIANCE
+from vislam.sensors import measurement_variances
 from vislam.smoother.keys import B, X
 from vislam.types import Array
 
@@ -54,7 +54,7 @@ class FactorBuilder:
 
     def _noise(self, sigma: float) -> gtsam.noiseModel.Base:
         if sigma not in self._stereo_noise:
-            sigmas = sigma * np.sqrt([1.0, 1.0, ROW_VARIANCE])
+            sigmas = np.sqrt(measurement_variances(np.array(sigma)))
             noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
             if self._kernel is not None:
                 noise = gtsam.noiseModel.Robust.Create(self._kernel, noise)

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.geometry import se3
-from vislam.sensors import StereoRig
-from vislam.sensors.stereo import ROW_VARIANCE
+from vislam.sensors import StereoRig, measurement_variances
 from vislam.types import Array, BoolArray
 
 _ITERATIONS = 6
@@ -56,7 +55,7 @@ def triangulate(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, c
     """
     world_T_cam = world_T_imu @ rig.imu_T_cam
     view_T_first = se3.inverse(world_T_cam) @ world_T_cam[:, :1]
-    weight = 1.0 / (sigma[..., None] ** 2 * np.array([1.0, 1.0, ROW_VARIANCE]))
+    weight = 1.0 / measurement_variances(sigma)
     seen = np.isfinite(sigma)
     mean = z[:, 0].copy()
     ready = np.ones(len(z), bool)
