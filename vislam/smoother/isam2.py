@@ -30,8 +30,8 @@ _NEAREST = 1.0
 class Isam2Options:
     """Options of the incremental smoother."""
 
-    huber: Positive | None = 1.5
-    """Threshold of the Huber kernel on stereo factors, in standard deviations; null for none."""
+    huber: Positive | None = None
+    """Threshold of a Huber kernel on stereo factors, in standard deviations; null for none, as the filter."""
     window: Annotated[int, Field(ge=1)] = 5
     """Frames after its last sight for which a variable may still be relinearised, until the end."""
     final_iterations: Annotated[int, Field(ge=0)] = 1
@@ -193,18 +193,22 @@ class Isam2Estimator:
 
     def finalize(self) -> Estimate:
         """Relinearise everything a few times and return all poses and landmarks."""
+        try:
+            values = self._isam.calculateBestEstimate()
+        except RuntimeError:
+            self._rescue()
+            values = self._isam.calculateBestEstimate()
         # The last update takes the most memory: let go of what only a later step would need.
         del self._checkpoint
         everything = gtsam.ISAM2UpdateParams()
         everything.forceFullSolve = True
-        values = self._isam.calculateBestEstimate()
         for _ in range(self._options.final_iterations):
             try:
                 self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything, "the end")
-            except DivergedError:
+                values = self._isam.calculateBestEstimate()
+            except RuntimeError:
                 self.counts["final_iterations_undone"] += 1
                 break
-            values = self._isam.calculateBestEstimate()
         self.counts["landmarks_too_weak"] += len(self._book.waiting)
         poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._book.poses))])
         tracks = sorted(self._book.keys)
