@@ -14,7 +14,13 @@ from vislam.ekf.dense import DenseFilter
 from vislam.ekf.state import JointState
 from vislam.errors import DivergedError
 from vislam.estimator import run
+from vislam.run import Run
 from vislam.simulation import SimulationConfig
+
+
+def filtered(config: Config, dataset: Dataset) -> Run:
+    estimator = EkfEstimator(make_problem(config, dataset), EkfOptions())
+    return run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
 
 
 def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
@@ -47,10 +53,7 @@ def test_without_noise_it_ends_at_the_truth(short_config: Config):
     clean = SimulationConfig(frames=40, pixel_sigma_px=0.0, gyro_sigma=0.0, velocity_sigma=0.0)
     config = replace(short_config, data=DataConfig(simulation=clean))
     dataset = open_dataset(config.data, seed=1)
-    problem = make_problem(config, dataset)
-    result = run(
-        EkfEstimator(problem, EkfOptions()), dataset.sequence, pixel_sigma(config, dataset), name="ekf"
-    )
+    result = filtered(config, dataset)
     assert result.complete
     error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
     # What is left is the straight line between inertial samples, not the filter's.
@@ -61,12 +64,7 @@ def test_the_bias_is_found(short_config: Config):
     biased = SimulationConfig(frames=250, gyro_bias=(0.01, -0.012, 0.008), pixel_sigma_px=0.3)
     config = replace(short_config, data=DataConfig(simulation=biased))
     dataset = open_dataset(config.data, seed=2)
-    result = run(
-        EkfEstimator(make_problem(config, dataset), EkfOptions()),
-        dataset.sequence,
-        pixel_sigma(config, dataset),
-        name="ekf",
-    )
+    result = filtered(config, dataset)
     assert np.allclose(result.bias[-1, :3], biased.gyro_bias, atol=1e-3)
 
 
@@ -77,12 +75,7 @@ def test_the_gate_refuses_planted_outliers_and_little_else(short_config: Config)
         data=DataConfig(simulation=planted, consensus_threshold=None, max_row_difference_px=100.0),
     )
     dataset = open_dataset(config.data, seed=4)
-    result = run(
-        EkfEstimator(make_problem(config, dataset), EkfOptions()),
-        dataset.sequence,
-        pixel_sigma(config, dataset),
-        name="ekf",
-    )
+    result = filtered(config, dataset)
     rows = dataset.sequence.pixels[:, 1] - dataset.sequence.pixels[:, 3]
     wrong = (np.abs(rows) > 3.0) & (dataset.sequence.age() > 0)
     fused_later = dataset.sequence.age() > 0
