@@ -9,8 +9,8 @@ from pydantic.dataclasses import dataclass
 from vislam import config, motion
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.fields import STRICT
 from vislam.motion import POSE
-from vislam.simulation.settings import STRICT
 from vislam.types import Array, BoolArray
 
 

@@ -11,14 +11,9 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from vislam.errors import ConfigError
+from vislam.fields import STRICT, NonNegative, Positive, Vector3
 from vislam.repair import axes_rotation
-from vislam.simulation.settings import (
-    STRICT,
-    NonNegative,
-    Positive,
-    SimulationConfig,
-    Vector3,
-)
+from vislam.simulation.settings import SimulationConfig
 
 Parsed = TypeVar("Parsed")
 

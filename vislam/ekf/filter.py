@@ -12,9 +12,9 @@ from vislam.data.sequence import Frame
 from vislam.ekf import measurement
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.fields import STRICT
 from vislam.motion import POSE
 from vislam.sensors import measurement_variances
-from vislam.simulation.settings import STRICT
 from vislam.types import Array, BoolArray, IntArray
 
 _NEAREST = 0.5

@@ -2,14 +2,10 @@
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Vector3 = tuple[float, float, float]
-STRICT = ConfigDict(extra="forbid")
+from vislam.fields import STRICT, NonNegative, Positive, Probability, Vector3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -15,8 +15,8 @@ from vislam import config
 from vislam.data.sequence import Frame
 from vislam.errors import DivergedError
 from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.fields import STRICT, NonNegative, Positive
 from vislam.geometry import se3
-from vislam.simulation.settings import STRICT, NonNegative, Positive
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import B, X, landmark, thresholds
 from vislam.smoother.triangulation import triangulate
