@@ -9,6 +9,7 @@ import pytest
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.source import Dataset, open_dataset
 from vislam.geometry import se3
+from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 
 SHORT = SimulationConfig(
@@ -34,7 +35,7 @@ def short_config() -> Config:
     density = [SHORT.gyro_sigma * root] * 3 + [SHORT.velocity_sigma * root] * 3
     return Config(
         name="short",
-        data=DataConfig(simulation=SHORT, consensus_threshold=None),
+        data=DataConfig(simulation=SHORT, repair=RepairConfig(consensus=None)),
         noise=NoiseConfig(pixel_sigma_px=0.3, twist_density=tuple(density)),
     )
 

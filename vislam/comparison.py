@@ -4,7 +4,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -161,6 +161,7 @@ def write_results(
         evaluation=evaluation,
         reference=dataset.reference,
         counts=dataset.sequence.counts,
+        repairs=dataset.sequence.repairs,
         figures=paths,
         provenance="\n".join(f"{key}: {value}" for key, value in provenance.items()),
         config=text,
@@ -188,6 +189,7 @@ def write_metrics(
             "reference_limits": None if reference is None else reference.limits,
             "digest": dataset.sequence.digest,
             "counts": dataset.sequence.counts,
+            "repairs": [asdict(step) for step in dataset.sequence.repairs],
             "notes": list(dataset.notes),
         },
         "runs": {

@@ -4,15 +4,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from vislam.errors import ConfigError
-from vislam.fields import STRICT, NonNegative, Positive, Vector3
-from vislam.repair import axes_rotation
+from vislam.fields import STRICT, NonNegative, Positive
+from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 
 Parsed = TypeVar("Parsed")
@@ -40,32 +40,13 @@ class DataConfig:
     """Recorded course file (.npz); null for a simulation."""
     simulation: SimulationConfig | None = None
     """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
-    invert_extrinsic: bool = False
-    """Take the stored extrinsic for its inverse."""
-    body_axes: tuple[str, str, str] = ("x", "y", "z")
-    """The velocities' body axes in those of the extrinsic."""
-    camera_position_imu: Vector3 | None = None
-    """Left camera in the body frame in place of the file's [m]; null keeps the file's."""
-    baseline: Positive | None = None
-    """Stereo baseline in place of the file's [m]; null keeps the file's."""
-    velocity: Literal["body", "levelled"] = "body"
-    """``levelled``: the third velocity component is the climb rate, not the body's own."""
-    clock_offset: float = 0.0
-    """How late the inertial stamps are against the camera's [s]."""
-    cut_stale_tracks: bool = True
-    """Start new landmarks in frames that repeat the pixels of the frame before."""
-    min_disparity_px: Positive = 2.5
-    """Smallest disparity at which a track may start [px]."""
-    max_row_difference_px: Positive = 2.0
-    """Largest difference of the left and the right row [px]."""
-    consensus_threshold: Positive | None = 5.0
-    """Cut a track where its step is this many robust deviations off the frame's rigid motion; null: never."""
+    repair: RepairConfig = RepairConfig()
+    """The repairs, each by its name; they hold for a recording and for its stand-in."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording, or null."""
 
     def __post_init__(self) -> None:
-        """Refuse axes that form no proper turn, and a section without any data."""
-        axes_rotation(self.body_axes)
+        """Refuse a section without any data."""
         if self.file is None and self.simulation is None:
             raise ValueError("one of file and simulation must be given")
 
@@ -178,10 +159,16 @@ def _plain(value: Any) -> Any:
 def _known(kind: Any, location: tuple[int | str, ...]) -> str:
     """Say which keys the section of an unknown key has."""
     for part in location[:-1]:
-        annotation = kind.__dataclass_fields__[str(part)].type
-        options = [annotation, *getattr(annotation, "__args__", ())]
-        kind = next((option for option in options if hasattr(option, "__dataclass_fields__")), kind)
+        inside = _section(kind.__dataclass_fields__[str(part)].type)
+        kind = kind if inside is None else inside
     return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
+
+
+def _section(annotation: Any) -> Any:
+    """Find the config section that an annotation holds, or None."""
+    if hasattr(annotation, "__dataclass_fields__"):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _section(part)) is not None), None)
 
 
 def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:

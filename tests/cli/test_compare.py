@@ -230,7 +230,12 @@ BAD_CONFIGS = {
         "noise.pixel_sigma_px",
     ),
     "wrong type": ("name: s\ndata: {simulation: {frames: many}}\n", "data.simulation.frames"),
-    "bad axes": ("name: s\ndata: {file: a.npz, body_axes: [x, y, -z]}\n", "right-handed"),
+    "bad axes": ("name: s\ndata: {file: a.npz, repair: {axes: {body: [x, y, -z]}}}\n", "right-handed"),
+    "unknown repair": ("name: s\ndata: {file: a.npz, repair: {axis: true}}\n", "known are axes, baseline"),
+    "unknown option of a repair": (
+        "name: s\ndata: {file: a.npz, repair: {disparity: {least: 3}}}\n",
+        "known are minimum_px, row_difference_px",
+    ),
     "no data": ("name: s\ndata: {}\n", "one of file and simulation must be given"),
     "missing data": ("name: s\n", "data: "),
     "not a mapping": ("- 1\n", "expected a mapping"),

@@ -14,6 +14,8 @@ from vislam.ekf.dense import DenseFilter
 from vislam.ekf.state import JointState
 from vislam.errors import DivergedError
 from vislam.estimator import run
+from vislam.repair import RepairConfig
+from vislam.repair.pixels import Disparity
 from vislam.run import Run
 from vislam.simulation import SimulationConfig
 
@@ -72,7 +74,10 @@ def test_the_gate_refuses_planted_outliers_and_little_else(short_config: Config)
     planted = SimulationConfig(frames=120, outlier_probability=0.05, pixel_sigma_px=0.3)
     config = replace(
         short_config,
-        data=DataConfig(simulation=planted, consensus_threshold=None, max_row_difference_px=100.0),
+        data=DataConfig(
+            simulation=planted,
+            repair=RepairConfig(consensus=None, disparity=Disparity(row_difference_px=100.0)),
+        ),
     )
     dataset = open_dataset(config.data, seed=4)
     result = filtered(config, dataset)

@@ -26,15 +26,11 @@ _ROTATION_TOLERANCE = 1e-3
 """How far R^T R may be from the identity; the files carry seven digits."""
 
 
-def load_course_npz(path: Path, *, invert_extrinsic: bool = False) -> Sequence:
+def load_course_npz(path: Path) -> Sequence:
     """Read a course file as it stands; nothing is repaired here.
 
-    Parameters
-    ----------
-    path : Path
-    invert_extrinsic : bool
-        ``imu_T_cam`` is read as camera to body, and ``cam_T_imu`` (older editions) as body to
-        camera. This switch turns either reading round.
+    The key of the extrinsic is believed: ``imu_T_cam`` is the camera's pose in the body, ``cam_T_imu`` (older
+    editions) its inverse.
 
     Raises
     ------
@@ -46,7 +42,7 @@ def load_course_npz(path: Path, *, invert_extrinsic: bool = False) -> Sequence:
         raise DataError(f"{path}: no such file")
     try:
         with zipfile.ZipFile(path) as archive:
-            return _Reader(archive, path).sequence(invert_extrinsic=invert_extrinsic)
+            return _Reader(archive, path).sequence()
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
         raise DataError(f"{path}: not a whole npz archive ({error}); fetch or copy the file again") from None
 
@@ -59,7 +55,7 @@ class _Reader:
         self._path = path
         self._keys = {name.removesuffix(".npy") for name in archive.namelist()}
 
-    def sequence(self, *, invert_extrinsic: bool) -> Sequence:
+    def sequence(self) -> Sequence:
         angular = self._one_of("angular_velocity", "rotational_velocity")
         extrinsic = self._one_of("imu_T_cam", "cam_T_imu")
         for key in ("time_stamps", "linear_velocity", "K", "b", "features"):
@@ -68,7 +64,7 @@ class _Reader:
         frames = len(stamp)
         twist = np.vstack([self._small(angular, (3, frames)), self._small("linear_velocity", (3, frames))])
         pose = self._rigid_transform(extrinsic)
-        if (extrinsic == "cam_T_imu") != invert_extrinsic:
+        if extrinsic == "cam_T_imu":
             pose = se3.inverse(pose)
         rig = StereoRig(**self._intrinsics(), baseline=self._baseline(), imu_T_cam=pose)
         frame, track, pixels, incomplete = self._observations(frames)
@@ -76,12 +72,14 @@ class _Reader:
         return Sequence(
             name=self._path.stem,
             stamp=stamp,
+            inertial_stamp=stamp,
             twist=np.ascontiguousarray(twist.T),
             climb_rate=np.full(frames, np.nan),
             rig=rig,
             offset=offset.astype(np.int64),
             track=track,
             pixels=pixels,
+            row=np.arange(len(track)),
             digest=_sha256(self._path),
             counts={
                 "frames": frames,

@@ -1,7 +1,8 @@
 """A stereo visual-inertial recording in memory: immutable, in SI units, observations kept sparse."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,27 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Repair:
+    """What became of one repair step.
+
+    Attributes
+    ----------
+    name : str
+        As in the config.
+    applied : bool
+        Whether it was switched on.
+    options : dict
+    counts : dict of str to int
+        What it cut or dropped.
+    """
+
+    name: str
+    applied: bool
+    options: dict[str, Any]
+    counts: dict[str, int]
+
+
+@dataclass(frozen=True)
 class Sequence:
     """A recording, or a repaired one. Arrays are read-only.
 
@@ -54,9 +76,11 @@ class Sequence:
     name : str
     stamp : (T,)
         Camera times, increasing [s].
-    twist : (T, 6)
-        Inertial samples (omega, v) at those times, body frame [rad/s, m/s].
-    climb_rate : (T,)
+    inertial_stamp : (S,)
+        Times of the inertial samples, increasing [s].
+    twist : (S, 6)
+        Inertial samples (omega, v), body frame [rad/s, m/s].
+    climb_rate : (S,)
         Climb rate samples [m/s], NaN where the velocity is not levelled.
     rig : StereoRig
     offset : (T + 1,)
@@ -64,29 +88,42 @@ class Sequence:
         Track id of each observation.
     pixels : (n, 4)
         uL, vL, uR, vR [px].
+    row : (n,)
+        Which observation of the unrepaired recording each one is.
     clock_offset : float
         How late the inertial stamps are against the camera's [s].
     stand_in : bool
         True if the sequence was simulated in place of, or without, a recording.
+    digest : str
+        Hash of the data.
+    counts : dict
+        What was read, cut and dropped.
+    repairs : tuple of Repair
+        The steps that made the sequence from the recording, in order.
     """
 
     name: str
     stamp: Array
+    inertial_stamp: Array
     twist: Array
     climb_rate: Array
     rig: StereoRig
     offset: IntArray
     track: IntArray
     pixels: Array
+    row: IntArray
     clock_offset: float = 0.0
     stand_in: bool = False
     digest: str = ""
     counts: dict[str, int] = field(default_factory=dict)
+    repairs: tuple[Repair, ...] = ()
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for array in (self.stamp, self.twist, self.climb_rate, self.offset, self.track, self.pixels):
-            array.flags.writeable = False
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -115,6 +152,7 @@ class Sequence:
             offset=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
             track=self.track[keep],
             pixels=self.pixels[keep],
+            row=self.row[keep],
             counts={**self.counts, **counts},
         )
 
@@ -147,14 +185,14 @@ class Sequence:
         """Mean twist ``(T, 6)`` and climb rate ``(T,)`` over the step that ends at each frame.
 
         The samples are joined by straight lines, moved by the clock offset and averaged exactly
-        over the step. The first row, which ends no step, is the first sample.
+        over the step. The first row, which ends no step, is the value at the first frame.
         """
         samples = np.column_stack([self.twist, self.climb_rate])
-        means = np.empty_like(samples)
-        means[0] = samples[0]
+        means = np.empty((len(self), samples.shape[1]))
         at = self.stamp + self.clock_offset
         for column in range(samples.shape[1]):
-            integral = _integrate_linear(self.stamp, samples[:, column], at)
+            means[0, column] = np.interp(at[0], self.inertial_stamp, samples[:, column])
+            integral = _integrate_linear(self.inertial_stamp, samples[:, column], at)
             means[1:, column] = np.diff(integral) / np.diff(self.stamp)
         return means[:, :6], means[:, 6]
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from vislam import repair
 from vislam.config import DataConfig
-from vislam.consensus import cut_inconsistent_tracks
 from vislam.data.course_npz import load_course_npz
 from vislam.data.reference import Reference, load_reference, truth_reference
 from vislam.data.sequence import Sequence
@@ -83,15 +82,7 @@ def open_dataset(
 
 
 def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
-    sequence = load_course_npz(path, invert_extrinsic=config.invert_extrinsic)
-    sequence = repair.turn_body_axes(sequence, config.body_axes)
-    if config.camera_position_imu is not None:
-        mounting = sequence.rig.imu_T_cam.copy()
-        mounting[:3, 3] = config.camera_position_imu
-        sequence = replace(sequence, rig=replace(sequence.rig, imu_T_cam=mounting))
-    if config.baseline is not None:
-        sequence = replace(sequence, rig=replace(sequence.rig, baseline=config.baseline))
-    sequence = _repair(sequence, config)
+    sequence = _repaired(load_course_npz(path), config)
     if config.reference is None:
         return Dataset(sequence, None, ("no reference: nothing here says how far off an estimate is",))
     found = find_file(config.reference.file, [path.parent, *folders])
@@ -115,34 +106,16 @@ def _simulated(config: DataConfig, seed: int) -> Dataset:
     wanted = config.file
     name = "simulation" if wanted is None else f"stand-in for {wanted}"
     raw, truth = simulate(config.simulation, seed=seed, name=name)
-    sequence = _repair(raw, config)
-    # Every repair keeps an observation or drops it, in order: match what is left by frame and pixels.
-    place = {key: row for row, key in enumerate(_keys(raw))}
-    points = truth.points_world[[place[key] for key in _keys(sequence)]]
+    sequence = _repaired(raw, config)
     track, first = np.unique(sequence.track, return_index=True)
+    points = truth.points_world[sequence.row[first]]
     notes = (f"SIMULATED: {name}, no recorded data was used",)
     _log.warning(notes[0])
-    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points[first]), notes)
+    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points), notes)
 
 
-def _keys(sequence: Sequence) -> list[tuple[int, bytes]]:
-    return [(int(k), row.tobytes()) for k, row in zip(sequence.frame_of, sequence.pixels, strict=True)]
-
-
-def _repair(sequence: Sequence, config: DataConfig) -> Sequence:
-    """Apply the repairs that recorded and simulated data share; each counts what it did."""
-    sequence = replace(sequence, clock_offset=config.clock_offset)
-    if config.velocity == "levelled":
-        sequence = repair.separate_climb_rate(sequence)
-    if config.cut_stale_tracks:
-        sequence = repair.cut_stale_tracks(sequence)
-    sequence = repair.gate_disparity(
-        sequence, minimum=config.min_disparity_px, row_difference=config.max_row_difference_px
-    )
-    sequence = repair.split_interrupted_tracks(sequence)
-    if config.consensus_threshold is not None:
-        sequence = cut_inconsistent_tracks(sequence, config.consensus_threshold)
-    sequence = repair.drop_single_sightings(sequence)
+def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
+    sequence = repair.apply(sequence, config.repair)
     counts = {
         **sequence.counts,
         "landmarks": len(np.unique(sequence.track)),

@@ -1,13 +1,14 @@
 """The self-contained report page."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 
 import jinja2
 from markupsafe import Markup, escape
 
+from vislam.data import Repair
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
 from vislam.files import replace_whole
@@ -32,6 +33,7 @@ def write_page(
     evaluation: Evaluation,
     reference: Reference | None,
     counts: Mapping[str, int],
+    repairs: Sequence[Repair],
     figures: Mapping[str, Path],
     provenance: str,
     config: str,
@@ -52,7 +54,8 @@ def write_page(
             for name, caption in _CAPTIONS.items()
             if name in figures
         ],
-        counts=_counts(counts, runs),
+        counts=_counts(counts, repairs, runs),
+        repairs=_repairs(repairs),
         provenance=provenance,
         config=config,
         draw=_draw,
@@ -88,12 +91,27 @@ def _pairs(evaluation: Evaluation) -> Table:
     return Table(["estimators", "measure", "value", "unit"], rows)
 
 
-def _counts(counts: Mapping[str, int], runs: Mapping[str, Run]) -> Table:
-    rows = [["data", key.replace("_", " "), str(value)] for key, value in counts.items()]
+def _counts(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:
+    elsewhere = {key for step in repairs for key in step.counts}
+    rows = [["data", key.replace("_", " "), str(counts[key])] for key in counts if key not in elsewhere]
     for name, run in runs.items():
         own = {"observations gated": int(run.gated.sum()), **run.counts}
         rows += [[name, key.replace("_", " "), str(value)] for key, value in own.items()]
     return Table(["where", "what", "count"], rows)
+
+
+def _repairs(repairs: Sequence[Repair]) -> Table:
+    """What became of each step; one that is switched off is listed too."""
+    rows = []
+    for step in repairs:
+        options = ", ".join(f"{key.replace('_', ' ')} {_plain(value)}" for key, value in step.options.items())
+        done = ", ".join(f"{value} {key.replace('_', ' ')}" for key, value in step.counts.items())
+        rows.append([step.name.replace("_", " "), (options or "on") if step.applied else "off", done])
+    return Table(["repair", "setting", "counted"], rows)
+
+
+def _plain(value: object) -> str:
+    return " ".join(str(item) for item in value) if isinstance(value, tuple | list) else str(value)
 
 
 def _draw(table: Table) -> Markup:

@@ -1,12 +1,13 @@
 """A simulated recording with its truth: one seed, one sequence, on any machine."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3, so3
+from vislam.repair.mounting import axes_rotation
 from vislam.sensors import StereoRig
 from vislam.simulation.path import DrivePath
 from vislam.simulation.settings import SimulationConfig
@@ -74,12 +75,14 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
     sequence = Sequence(
         name=name,
         stamp=stamp,
+        inertial_stamp=stamp,
         twist=twist,
         climb_rate=np.full(config.frames, np.nan),
-        rig=rig,
+        rig=_as_stored(config, rig),
         offset=tracks.offset,
         track=tracks.track,
         pixels=tracks.pixels,
+        row=np.arange(len(tracks.track)),
         stand_in=True,
         digest=hashlib.sha256(tracks.pixels.tobytes() + twist.tobytes()).hexdigest(),
         counts={
@@ -89,6 +92,19 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
         },
     )
     return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world))
+
+
+def _as_stored(config: SimulationConfig, rig: StereoRig) -> StereoRig:
+    """Rig as a faulty recording states it: the repairs of the same names bring the true one back."""
+    turn = se3.from_rotation_translation(axes_rotation(config.extrinsic_axes), np.zeros(3))
+    wanted = se3.inverse(turn) @ rig.imu_T_cam
+    rotation, translation = wanted[:3, :3], wanted[:3, 3]
+    if config.extrinsic_rotation == "inverse":
+        rotation = rotation.T
+    if config.extrinsic_translation == "inverse":
+        translation = -rotation @ translation
+    stored = se3.from_rotation_translation(rotation, translation)
+    return replace(rig, imu_T_cam=stored, baseline=config.stated_baseline or rig.baseline)
 
 
 def stereo_rig(config: SimulationConfig) -> StereoRig:

@@ -74,5 +74,19 @@ class SimulationConfig:
     """White noise of a velocity sample [m/s]."""
     clock_offset: float = 0.0
     """How late the inertial stamps are against the camera's [s]."""
+    extrinsic_axes: tuple[str, str, str] = ("x", "y", "z")
+    """Body axes of the velocities in those of the stored extrinsic; other than x, y, z they do not fit."""
+    extrinsic_rotation: Literal["stored", "inverse"] = "stored"
+    """``inverse``: the stored extrinsic has the rotation of the other direction."""
+    extrinsic_translation: Literal["stored", "inverse"] = "stored"
+    """``inverse``: the stored extrinsic has the translation of the other direction."""
+    stated_baseline: Positive | None = None
+    """Baseline that the file states in place of the true one [m]."""
+    disparity_offset_px: float = 0.0
+    """Constant error of all disparities [px]."""
+    moving_share: Probability = 0.0
+    """Share of the tracks that are born on vehicles driving along at another speed."""
+    drift_px: NonNegative = 0.0
+    """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
     levelled_velocity: bool = False
     """Write the climb rate as the third velocity component, as KITTI's recordings have it."""

@@ -1,6 +1,6 @@
 """Stereo tracks of a simulated front end: births, losses, noise, wrong matches and stale frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -26,34 +26,57 @@ class Tracks:
 
 @dataclass
 class _Alive:
-    """The tracks in view: id, point, error of the stereo match, and the pixels last written."""
+    """The tracks in view, one row each.
+
+    Attributes
+    ----------
+    track : (n,)
+    point, velocity : (n, 3)
+        The point that is followed [m] and how it moves [m/s].
+    bias : (n,)
+        Error of the stereo match [px].
+    slip : (n, 2)
+        Where the tracker has drifted to, column and row [px].
+    pixels : (n, 4)
+        Last written.
+    """
 
     track: IntArray
     point: Array
+    velocity: Array
     bias: Array
+    slip: Array
     pixels: Array
 
     def keep(self, mask: BoolArray) -> None:
-        self.track, self.point = self.track[mask], self.point[mask]
-        self.bias, self.pixels = self.bias[mask], self.pixels[mask]
+        for item in fields(self):
+            setattr(self, item.name, getattr(self, item.name)[mask])
 
     def add(self, other: "_Alive") -> None:
-        self.track = np.concatenate([self.track, other.track])
-        self.point = np.concatenate([self.point, other.point])
-        self.bias = np.concatenate([self.bias, other.bias])
-        self.pixels = np.concatenate([self.pixels, other.pixels])
+        for item in fields(self):
+            both = getattr(self, item.name), getattr(other, item.name)
+            setattr(self, item.name, np.concatenate(both))
 
 
 def simulate_tracks(
     config: SimulationConfig, rig: StereoRig, world_T_cam: Array, generator: np.random.Generator
 ) -> Tracks:
     """Observe a random world along the camera poses ``(T, 4, 4)``."""
-    alive = _Alive(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0), np.empty((0, 4)))
+    alive = _Alive(
+        np.empty(0, np.int64),
+        np.empty((0, 3)),
+        np.empty((0, 3)),
+        np.empty(0),
+        np.empty((0, 2)),
+        np.empty((0, 4)),
+    )
     born, lengths = 0, []
     written: list[tuple[IntArray, Array, Array]] = []
     for k, pose in enumerate(world_T_cam):
         stale = k > 0 and len(alive.track) > 0 and generator.random() < config.stale_probability
         alive.keep(generator.random(len(alive.track)) >= config.loss_probability)
+        alive.point = alive.point + config.period * alive.velocity
+        alive.slip = alive.slip + config.drift_px * generator.standard_normal(alive.slip.shape)
         if stale:
             alive.point = se3.transform(pose, rig.back_project(_triples(alive.pixels, alive.bias)))
         else:
@@ -86,8 +109,12 @@ def _births(
     column = generator.uniform(disparity, np.maximum(config.rig.width, disparity + 1.0))
     row = generator.uniform(0.0, config.rig.height, count)
     point = se3.transform(pose, rig.back_project(np.column_stack([column, column - disparity, row])))
+    moving = generator.random(count) < config.moving_share
+    speed = config.speed * generator.uniform(-1.0, 1.0, count)
+    velocity = np.where(moving, speed, 0.0)[:, None] * pose[:3, 2]
     bias = config.stereo_bias_sigma_px * generator.standard_normal(count)
-    new = _Alive(first + np.arange(count), point, bias, np.empty((count, 4)))
+    ids = first + np.arange(count)
+    new = _Alive(ids, point, velocity, bias, np.zeros((count, 2)), np.empty((count, 4)))
     new.pixels = _observe(config, rig, pose, new, generator)
     return new
 
@@ -97,7 +124,9 @@ def _observe(
 ) -> Array:
     """Pixels (uL, vL, uR, vR) of the tracks, with noise, match error and outliers."""
     z = rig.project(se3.transform(se3.inverse(pose), alive.point))
-    pixels = np.column_stack([z[:, 0], z[:, 2], z[:, 1] + alive.bias, z[:, 2]])
+    column, row = z[:, :2] + alive.slip[:, :1], z[:, 2] + alive.slip[:, 1]
+    right = column[:, 1] + alive.bias - config.disparity_offset_px
+    pixels = np.column_stack([column[:, 0], row, right, row])
     pixels += config.pixel_sigma_px * generator.standard_normal(pixels.shape)
     wrong = generator.random(len(pixels)) < config.outlier_probability
     pixels[wrong] += generator.uniform(-_OUTLIER_PX, _OUTLIER_PX, (int(wrong.sum()), 4))

@@ -1,0 +1,9 @@
+"""Repairs of a recording: named steps, each switched in the config, each counting what it did.
+
+What is wrong with such recordings, and how it shows, is told in the README under "Seven traps";
+``python -m vislam.inspect`` finds which of the steps a recording needs.
+"""
+
+from vislam.repair.steps import RepairConfig, apply
+
+__all__ = ["RepairConfig", "apply"]

@@ -1,0 +1,44 @@
+"""Repair of tracks that follow something else: vehicles, reflections, slipping patches.
+
+They are consistent with themselves, so a gate on single innovations lets them through, and they bend the
+estimate. Between two frames the tracks vote on the camera's motion, and a step many deviations off it
+starts a new track. A track that never agrees falls to single sightings, which say nothing.
+"""
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from vislam.data.sequence import Sequence
+from vislam.fields import STRICT, Positive
+from vislam.repair.tracks import start_new_tracks
+from vislam.types import Array
+from vislam.vision import continuations, rigid_fits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Consensus:
+    """Start a new track at each observation whose step is off the frame's rigid motion."""
+
+    threshold: Positive = 5.0
+    """How far off, in robust standard deviations of the frame."""
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Cut the tracks there; stale tracks must have been cut before."""
+        off = np.nan_to_num(np.linalg.norm(step_residuals(sequence), axis=1)) > self.threshold
+        return start_new_tracks(sequence, off, inconsistent_cuts=int(off.sum()))
+
+
+def step_residuals(sequence: Sequence) -> Array:
+    """Residual of each observation against its predecessor under the rigid motion of its frame.
+
+    Returns
+    -------
+    (n, 3)
+        Mean column, disparity and row, in robust standard deviations; NaN without a predecessor
+        or where too few tracks vote.
+    """
+    pairs = continuations(sequence)
+    out = np.full((sequence.observations, 3), np.nan)
+    for k, fit in rigid_fits(sequence, pairs).items():
+        out[pairs.after[pairs.start[k] : pairs.start[k + 1]]] = fit.residual
+    return out

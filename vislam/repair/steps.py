@@ -1,0 +1,81 @@
+"""The list of repairs: their names in the config, their order, and the one loop that applies them."""
+
+from dataclasses import asdict, fields, replace
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar
+
+from pydantic import BeforeValidator
+from pydantic.dataclasses import dataclass
+
+from vislam.data.sequence import Repair, Sequence
+from vislam.fields import STRICT
+from vislam.repair.consensus import Consensus
+from vislam.repair.inertial import Clock, LevelledVelocity
+from vislam.repair.mounting import Axes, Baseline, Extrinsic
+from vislam.repair.pixels import Disparity, DisparityOffset
+from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
+
+Kind = TypeVar("Kind")
+
+
+class Step(Protocol):
+    """What a repair is: options, and a function from sequence to sequence that adds to the counts."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Return the repaired sequence."""
+        ...
+
+
+def _switch(value: Any) -> Any:
+    """``true`` is a step with its defaults, ``false`` is none."""
+    if isinstance(value, bool):
+        return {} if value else None
+    return value
+
+
+Switched = Annotated[Kind | None, BeforeValidator(_switch)]
+"""A step's options; ``true`` for its defaults, ``false`` or null to leave it out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RepairConfig:
+    """The repairs in the order in which they are applied."""
+
+    extrinsic: Switched[Extrinsic] = None
+    """Read the extrinsic the other way round, whole or in part."""
+    axes: Switched[Axes] = None
+    """Turn the extrinsic into the body axes of the velocities."""
+    baseline: Switched[Baseline] = None
+    """Replace the stereo baseline."""
+    clock: Switched[Clock] = None
+    """Move the inertial stamps to the camera's clock."""
+    levelled_velocity: Switched[LevelledVelocity] = None
+    """Take the third velocity component for the climb rate."""
+    disparity_offset: Switched[DisparityOffset] = None
+    """Take a constant error out of all disparities."""
+    stale_tracks: Switched[StaleTracks] = StaleTracks()
+    """Start new landmarks in frames that repeat the pixels of the frame before."""
+    disparity: Switched[Disparity] = Disparity()
+    """Drop what cannot be a stereo observation, and tracks that start too far away."""
+    interruptions: Switched[Interruptions] = Interruptions()
+    """Start a new landmark where a track was out of sight."""
+    consensus: Switched[Consensus] = Consensus()
+    """Start a new landmark where a track leaves the rigid motion of the rest."""
+    single_sightings: Switched[SingleSightings] = SingleSightings()
+    """Drop tracks seen once only."""
+
+
+def apply(sequence: Sequence, config: RepairConfig) -> Sequence:
+    """Apply the steps that are switched on; the sequence keeps a record of every step, on or off."""
+    records = []
+    for item in fields(RepairConfig):
+        step: Step | None = getattr(config, item.name)
+        counts: dict[str, int] = {}
+        if step is not None:
+            before = sequence.counts
+            sequence = step.apply(sequence)
+            counts = {key: value for key, value in sequence.counts.items() if key not in before}
+        options = {} if step is None else asdict(step)
+        records.append(Repair(item.name, step is not None, options, counts))
+    return replace(sequence, repairs=tuple(records))

@@ -1,0 +1,100 @@
+"""Repairs of tracks: a new landmark wherever a track goes over to another point, nothing thrown away."""
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from vislam.data.sequence import Sequence
+from vislam.fields import STRICT
+from vislam.types import BoolArray, IntArray
+
+MOST = 0.5
+"""A frame is stale when more than this share of the tracks that continue into it repeat their pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class StaleTracks:
+    """Start a new landmark wherever a track was re-detected.
+
+    In a stale frame the front end writes every surviving track with the pixels of the frame before
+    and follows another physical point from there on. The stale observation becomes the first of a
+    new track; new ids count up from the start of the recording, in order of first sight.
+    """
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Cut the tracks there."""
+        stale_frame, repeats = stale_observations(sequence)
+        starts = repeats & stale_frame[sequence.frame_of]
+        return start_new_tracks(
+            sequence,
+            starts,
+            stale_frames=int(stale_frame.sum()),
+            stale_cuts=int(starts.sum()),
+            lone_repeats=int(repeats.sum() - starts.sum()),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Interruptions:
+    """Start a new landmark where a track was out of sight, so that a lost id never comes back."""
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Cut the tracks there."""
+        frame, track = sequence.frame_of, sequence.track
+        order = np.lexsort((frame, track))
+        starts = np.zeros(len(track), bool)
+        starts[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)
+        return start_new_tracks(sequence, starts, interruptions=int(starts.sum()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SingleSightings:
+    """Drop tracks seen once only: they tell nothing about motion."""
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Drop them."""
+        length = np.bincount(sequence.track)
+        keep = length[sequence.track] > 1
+        return sequence.select(keep, dropped_single_sightings=int(np.sum(~keep)))
+
+
+def stale_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
+    """Find observations that a re-detecting front end wrote with the pixels of the frame before.
+
+    Returns
+    -------
+    stale_frame : (T,)
+        Frames into which most of the continuing tracks repeat their pixels bit for bit.
+    repeats : (n,)
+        Observations, in any frame, that repeat their predecessor's pixels.
+    """
+    frame, track = sequence.frame_of, sequence.track
+    order = np.lexsort((frame, track))
+    same_track = np.diff(track[order]) == 0
+    next_frame = np.diff(frame[order]) == 1
+    continues, repeats = np.zeros(len(track), bool), np.zeros(len(track), bool)
+    continues[order[1:]] = same_track & next_frame
+    same_pixels = np.all(np.diff(sequence.pixels[order], axis=0) == 0, axis=1)
+    repeats[order[1:]] = same_track & next_frame & same_pixels
+    continuing = np.bincount(frame[continues], minlength=len(sequence))
+    repeating = np.bincount(frame[repeats], minlength=len(sequence))
+    return (repeating > MOST * continuing) & (continuing > 0), repeats
+
+
+def start_new_tracks(sequence: Sequence, starts: BoolArray, **counts: int) -> Sequence:
+    """Let each observation of the mask ``(n,)`` start a new track, adding to the counts."""
+    return replace(sequence, track=_renumber(sequence, starts), counts={**sequence.counts, **counts})
+
+
+def _renumber(sequence: Sequence, starts: BoolArray) -> IntArray:
+    """Track ids after each observation of the mask starts a new track, in order of first sight."""
+    frame, track = sequence.frame_of, sequence.track
+    order = np.lexsort((frame, track))
+    new_track = starts[order] | np.diff(track[order], prepend=-1).astype(bool)
+    piece = np.empty(len(track), np.int64)
+    piece[order] = np.cumsum(new_track) - 1
+    _, first, inverse = np.unique(piece, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
+    return rank[inverse]
