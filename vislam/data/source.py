@@ -10,6 +10,7 @@ import numpy as np
 from vislam import repair
 from vislam.config import DataConfig
 from vislam.data.course_npz import load_course_npz
+from vislam.data.download import cache_folder, recording_with
 from vislam.data.reference import Reference, load_reference, truth_reference
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
@@ -37,9 +38,12 @@ class Dataset:
 
 
 def search_path(data_dir: Path | None) -> list[Path]:
-    """Folders in which files are looked for: ``--data-dir``, ``$VISLAM_DATA``, ``data/``."""
+    """Folders in which files are looked for: ``--data-dir``, ``$VISLAM_DATA``, ``data/``, the user cache.
+
+    The last is where ``python -m vislam.fetch`` puts them.
+    """
     variable = os.environ.get("VISLAM_DATA")
-    folders = [data_dir, Path(variable) if variable else None, Path("data")]
+    folders = [data_dir, Path(variable) if variable else None, Path("data"), cache_folder()]
     return [folder for folder in folders if folder is not None]
 
 
@@ -73,12 +77,18 @@ def open_dataset(
     if path is not None:
         return _recorded(config, path, folders)
     if config.file is not None and (not allow_stand_in or config.simulation is None):
-        looked = ", ".join(str(folder) for folder in folders)
-        raise DataError(
-            f"{config.file}: not found in {looked}; put it into one of these folders, or name its folder "
-            "with --data-dir or $VISLAM_DATA"
-        )
+        raise DataError(_not_found(config.file, folders))
     return _simulated(config, seed)
+
+
+def _not_found(name: str, folders: list[Path]) -> str:
+    looked = ", ".join(str(folder) for folder in folders)
+    known = recording_with(name)
+    fetch = "" if known is None else f", or fetch it with python -m vislam.fetch {known}"
+    return (
+        f"{name}: not found in {looked}; put it into one of these folders, or name its folder "
+        f"with --data-dir or $VISLAM_DATA{fetch}"
+    )
 
 
 def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
