@@ -48,8 +48,10 @@ class DeadReckoning:
             world_T_imu=self._world_T_imu,
             pose_cov=self._cov[POSE, POSE].copy(),
             bias=problem.bias_mean,
+            bias_sigma=None,
             nis=0.0,
             dof=0,
+            log_likelihood=float("nan"),
             used=nothing,
             gated=nothing,
         )

@@ -4,68 +4,34 @@ Exit codes: 0 done, 1 an estimator failed (what it had done is kept and marked),
 """
 
 import argparse
-import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import yaml
-
-from vislam.errors import ConfigError, DataError
+from vislam.command import add_config_options, answer, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = _parser().parse_args(arguments)
-    logging.basicConfig(
-        level=logging.INFO if options.verbose else logging.ERROR, format="%(name)s: %(message)s"
-    )
-    try:
-        return _compare(options)
-    except (ConfigError, DataError) as error:
-        print(f"vislam: {error}", file=sys.stderr)
-        return 2
+    return answer(lambda: _compare(options), verbose=options.verbose)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m vislam.compare", description=__doc__)
+    add_config_options(parser)
     add = parser.add_argument
-    add("--config", type=Path, required=True, help="YAML configuration")
-    add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
-    add("--seed", type=int, help="seed of whatever is simulated")
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override a config value by dotted path",
-    )
-    add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
-    add("--verbose", action="store_true", help="log what is read, cut and dropped")
     return parser
-
-
-def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    overrides: dict[str, Any] = {}
-    for item in options.set:
-        key, equals, text = item.partition("=")
-        if not equals:
-            raise ConfigError(f"--set {item}: expected KEY=VALUE")
-        overrides[key] = yaml.safe_load(text)
-    if options.seed is not None:
-        overrides["seed"] = options.seed
-    return overrides
 
 
 def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam import config as configuration  # noqa: PLC0415
 
-    config = configuration.load(options.config, overrides=_overrides(options))
+    config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]
         chosen = {name: config.estimators.get(name, {}) for name in names}

@@ -27,6 +27,7 @@ from vislam.report.figures import all_figures
 from vislam.report.page import write_page
 from vislam.report.table import SHORT, comparison_table
 from vislam.run import Run
+from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
 from vislam.types import Array
 
@@ -89,14 +90,22 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         first_pose_sigma=np.array(noise.first_pose_sigma),
         bias_mean=np.array(noise.bias_mean),
         bias_sigma=np.array(noise.bias_sigma),
+        track_noise=TrackNoise(noise.pixel_sigma_px, noise.drift_px, noise.match_px),
         gate_probability=config.gate_probability,
     )
 
 
 def pixel_sigma(config: Config, dataset: Dataset) -> Array:
-    """Pixel noise of each observation, ``(n,)`` [px]: it may grow along a track."""
-    growth = config.noise.pixel_growth_px * dataset.sequence.age()
-    return np.hypot(config.noise.pixel_sigma_px, growth)
+    """Standard deviation of (uL, uR, v), ``(n, 3)`` [px], for whoever takes it as independent noise."""
+    sequence = dataset.sequence
+    noise = config.noise
+    disparity = sequence.z[:, 0] - sequence.z[:, 1]
+    return independent_sigma(
+        TrackNoise(noise.pixel_sigma_px, noise.drift_px, noise.match_px),
+        age=sequence.age(),
+        disparity=disparity,
+        first_disparity=disparity[sequence.first_rows()],
+    )
 
 
 def run_all(

@@ -59,9 +59,11 @@ class NoiseConfig:
     """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
 
     pixel_sigma_px: Positive = 1.0
-    """Noise of uL and uR [px]; that of the mean row is smaller by sqrt(2)."""
-    pixel_growth_px: NonNegative = 0.0
-    """Growth of that noise along a track, added in quadrature a frame [px]."""
+    """White noise of uL and uR [px]; that of the mean row is smaller by sqrt(2)."""
+    drift_px: NonNegative = 0.0
+    """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
+    match_px: NonNegative = 0.0
+    """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
     twist_density: Six = (1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02)
     """White noise of the inertial twist [rad/sqrt(s), m/sqrt(s)]."""
     bias_sigma: Six = (0.02, 0.02, 0.02, 0.1, 0.05, 0.02)

@@ -13,7 +13,7 @@ from vislam.errors import ConfigError
 from vislam.memory import PeakMemory
 from vislam.motion import MotionNoise
 from vislam.run import Run
-from vislam.sensors import StereoRig
+from vislam.sensors import StereoRig, TrackNoise
 from vislam.types import Array, BoolArray, IntArray
 
 GROUP = "vislam.estimators"
@@ -32,6 +32,8 @@ class Problem:
         Prior of the first pose, which is the identity [rad, m].
     bias_mean, bias_sigma : (6,)
         Prior of the twist bias [rad/s, m/s].
+    track_noise : TrackNoise
+        What the pixels of a track are off by.
     gate_probability : float
         Share of good observations that a chi-square gate lets pass.
     """
@@ -41,6 +43,7 @@ class Problem:
     first_pose_sigma: Array
     bias_mean: Array
     bias_sigma: Array
+    track_noise: TrackNoise
     gate_probability: float
 
 
@@ -53,10 +56,12 @@ class StepRecord:
     world_T_imu : (4, 4)
     pose_cov : (6, 6) or None
         Covariance of the pose, on its right.
-    bias : (6,) or None
-        Twist bias [rad/s, m/s].
+    bias, bias_sigma : (6,) or None
+        Twist bias and its standard deviation [rad/s, m/s].
     nis, dof : float, int
         Normalised innovation squared of the accepted observations and its degrees of freedom.
+    log_likelihood : float
+        Logarithm of the density of their innovations; NaN where the estimator does not have it.
     used : (n,)
         Which of the frame's observations were fused.
     gated : (n,)
@@ -66,8 +71,10 @@ class StepRecord:
     world_T_imu: Array
     pose_cov: Array | None
     bias: Array | None
+    bias_sigma: Array | None
     nis: float
     dof: int
+    log_likelihood: float
     used: BoolArray
     gated: BoolArray
 
@@ -135,8 +142,8 @@ def run(
     ----------
     estimator : Estimator
     sequence : Sequence
-    sigma : (n,)
-        Pixel noise of each observation [px].
+    sigma : (n, 3)
+        Standard deviation of each observation's (uL, uR, v) [px].
     name : str
     refused : (n,), optional
         Observations that a shared gate has taken out.
@@ -180,8 +187,10 @@ def run(
         world_T_imu_causal=causal,
         pose_cov=_stack([record.pose_cov for record in records], (6, 6)),
         bias=_stack([record.bias for record in records], (6,)),
+        bias_sigma=_stack([record.bias_sigma for record in records], (6,)),
         nis=np.array([record.nis for record in records]),
         dof=np.array([record.dof for record in records], dtype=np.int64),
+        log_likelihood=np.array([record.log_likelihood for record in records]),
         step_time=np.array(step_time),
         total_time=total,
         peak_rss=memory.peak,

@@ -27,10 +27,12 @@ class Run:
         Poses as known in the end, and as known at their own time.
     pose_cov : (T, 6, 6)
         Covariance of the causal pose, on its right; NaN where not given.
-    bias : (T, 6)
-        Twist bias at each time [rad/s, m/s]; NaN where not given.
+    bias, bias_sigma : (T, 6)
+        Twist bias at each time and its standard deviation [rad/s, m/s]; NaN where not given.
     nis, dof : (T,)
         Normalised innovation squared and its degrees of freedom.
+    log_likelihood : (T,)
+        Logarithm of the density of the innovations; NaN where not given.
     step_time : (T,)
         Time of each step [s].
     total_time : float
@@ -53,8 +55,10 @@ class Run:
     world_T_imu_causal: Array
     pose_cov: Array
     bias: Array
+    bias_sigma: Array
     nis: Array
     dof: IntArray
+    log_likelihood: Array
     step_time: Array
     total_time: float
     peak_rss: int

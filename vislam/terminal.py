@@ -1,6 +1,6 @@
 """What a comparison shows in the terminal: notes, a progress bar, one table."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -43,12 +43,16 @@ class Terminal:
             bar.add_task(title, total=total)
             yield bar
 
-    def table(self, table: Table, *, title: str, path: Path) -> None:
-        """Print the closing table and where the report is."""
+    def rows(self, header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str) -> None:
+        """Print a table of text."""
         drawn = RichTable(title=title)
-        for index, name in enumerate(table.header):
+        for index, name in enumerate(header):
             drawn.add_column(Text(name), justify="left" if index == 0 else "right")
-        for row in table.rows:
+        for row in rows:
             drawn.add_row(*(Text(cell) for cell in row))
         self._console.print(drawn)
+
+    def table(self, table: Table, *, title: str, path: Path) -> None:
+        """Print the closing table and where the report is."""
+        self.rows(table.header, table.rows, title=title)
         self.note(f"report: {path}")

@@ -46,8 +46,8 @@ def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config:
         dense.process(frame)
     slots = [dense.track.index(int(track)) for track in working.state.track]
     assert len(slots) > 5
-    assert np.allclose(working.state.points, dense.points[slots], atol=1e-8)
-    rows = np.concatenate([np.arange(12), *(12 + 3 * slot + np.arange(3) for slot in slots)])
+    assert np.allclose(working.state.landmarks, dense.landmarks[slots], atol=1e-8)
+    rows = np.concatenate([np.arange(12), *(12 + 4 * slot + np.arange(4) for slot in slots)])
     assert np.allclose(working.state.cov, dense.cov[np.ix_(rows, rows)], rtol=1e-6, atol=1e-10)
 
 

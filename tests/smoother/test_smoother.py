@@ -131,7 +131,7 @@ def test_twenty_frames_without_tracks_are_bridged(short_config: Config):
     config, dataset = harsh(short_config, pixel_sigma_px=0.3)
     frame = dataset.sequence.frame_of
     dark = dataset.sequence.select((frame < 30) | (frame >= 50))
-    sigma = np.full(dark.observations, 0.3)
+    sigma = np.full((dark.observations, 3), 0.3)
     estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
     result = run(estimator, Interruptions().apply(dark), sigma, name="isam2")
     assert result.complete

@@ -30,8 +30,8 @@ class Frame:
         Track ids in view. An id that is missing once never comes back.
     z : (n, 3)
         Stereo measurements (uL, uR, v) [px].
-    sigma : (n,)
-        Standard deviation of uL and of uR [px]; that of v is smaller by sqrt(2).
+    sigma : (n, 3)
+        Their standard deviations [px].
     """
 
     k: int
@@ -159,12 +159,15 @@ class Sequence:
     def age(self) -> IntArray:
         """Frames since the first observation of each observation's track, ``(n,)``."""
         frame = self.frame_of
-        first = np.full(int(self.track.max(initial=-1)) + 1, len(self))
-        np.minimum.at(first, self.track, frame)
-        return frame - first[self.track]
+        return frame - frame[self.first_rows()]
+
+    def first_rows(self) -> IntArray:
+        """Row of the first observation of each observation's track, ``(n,)``."""
+        _, first, track = np.unique(self.track, return_index=True, return_inverse=True)
+        return np.asarray(first[track])
 
     def frames(self, sigma: Array) -> Iterator[Frame]:
-        """Frames in order; ``sigma (n,)`` [px] is the noise of each observation."""
+        """Frames in order; ``sigma (n, 3)`` [px] is the noise of each observation."""
         z = self.z
         twist, climb = self.step_means()
         dt = np.diff(self.stamp, prepend=self.stamp[0])

@@ -1,7 +1,7 @@
 """EKF SLAM, one frame at a time: retire, predict, gate, update, initialise."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -13,8 +13,8 @@ from vislam.ekf import measurement
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.fields import STRICT
-from vislam.motion import POSE
-from vislam.sensors import measurement_variances
+from vislam.motion import BIAS, POSE
+from vislam.sensors import TrackNoise
 from vislam.types import Array, BoolArray, IntArray
 
 _NEAREST = 0.5
@@ -27,6 +27,9 @@ class EkfOptions:
 
     gate: bool = True
     """Refuse observations by a chi-square test of their innovation."""
+    track_errors: Literal["states", "independent"] = "states"
+    """``states``: drift and match error of each track are part of the state. ``independent``: they are taken
+    for white noise of the same mean variance, as a smoother of plain stereo factors has to."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "EkfEstimator":
@@ -43,6 +46,7 @@ class EkfEstimator:
 
     def __init__(self, problem: Problem, options: EkfOptions) -> None:
         self._problem = problem
+        self._track_noise = problem.track_noise if options.track_errors == "states" else None
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
         self.state = JointState(
             pose_sigma=problem.first_pose_sigma, bias=problem.bias_mean, bias_sigma=problem.bias_sigma
@@ -57,8 +61,9 @@ class EkfEstimator:
         if frame.k > 0:
             step = motion.integrate(frame.twist, bias=state.bias, dt=frame.dt, noise=self._problem.noise)
             state.predict(step.prev_T_next, *motion.transition(step))
+            self._drift()
         _, slots, rows = np.intersect1d(state.track, frame.track, assume_unique=True, return_indices=True)
-        fused, gated, nis = self._fuse(frame, slots, rows, ~refused[rows])
+        fused, gated, nis, log_likelihood = self._fuse(frame, slots, rows, ~refused[rows])
         new = ~np.isin(frame.track, state.track, assume_unique=True) & ~refused
         self._initialise(frame, new)
         used, all_gated = new, np.zeros(len(frame.track), bool)
@@ -69,8 +74,10 @@ class EkfEstimator:
             world_T_imu=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
             bias=state.bias.copy(),
+            bias_sigma=np.sqrt(np.diagonal(state.cov)[BIAS]),
             nis=nis,
             dof=3 * int(fused.sum()),
+            log_likelihood=log_likelihood,
             used=used,
             gated=all_gated,
         )
@@ -84,44 +91,70 @@ class EkfEstimator:
 
     def _fuse(
         self, frame: Frame, slots: IntArray, rows: IntArray, allowed: BoolArray
-    ) -> tuple[BoolArray, BoolArray, float]:
-        """Gate and fuse the landmarks in ``slots``, seen in ``rows``: masks of fused and gated, NIS."""
+    ) -> tuple[BoolArray, BoolArray, float, float]:
+        """Gate and fuse the landmarks in ``slots``, seen in ``rows``.
+
+        Returns the masks of fused and gated, the NIS and the log likelihood of what was fused.
+        """
         nothing = np.zeros(len(slots), bool)
         if not allowed.any():
-            return nothing, nothing, 0.0
-        prediction = measurement.predict(self._problem.rig, self.state.world_T_imu, self.state.points[slots])
+            return nothing, nothing, 0.0, 0.0
+        prediction = measurement.predict(
+            self._problem.rig, self.state.world_T_imu, self.state.landmarks[slots]
+        )
         cross, spread = measurement.covariances(self.state, slots, prediction)
         each = np.arange(len(slots))
-        spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += measurement_variances(
-            frame.sigma[rows]
-        )
+        spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += self._variance(frame)[rows]
         innovation = frame.z[rows] - prediction.z
         own = spread[each, :, each, :]
         distance = np.einsum("ni,ni->n", innovation, np.linalg.solve(own, innovation[..., None])[..., 0])
         passes = (distance <= self._threshold) & (prediction.depth > _NEAREST)
         good = allowed & passes
         if not good.any():
-            return nothing, allowed & ~passes, 0.0
+            return nothing, allowed & ~passes, 0.0, 0.0
         size, m = len(self.state.cov), 3 * int(good.sum())
-        nis = self.state.update(
+        nis, log_det = self.state.update(
             cross[:, good].reshape(size, m),
             spread[good][:, :, good].reshape(m, m),
             innovation[good].reshape(m),
         )
-        return good, allowed & ~passes, nis
+        log_likelihood = -0.5 * (nis + log_det + m * float(np.log(2.0 * np.pi)))
+        return good, allowed & ~passes, nis, log_likelihood
 
     def _initialise(self, frame: Frame, new: BoolArray) -> None:
         if not new.any():
             return
-        points, by_pose, by_measurement = measurement.initialise(
+        landmarks, by_pose, by_measurement = measurement.initialise(
             self._problem.rig, self.state.world_T_imu, frame.z[new]
         )
+        noise = TrackNoise(0.0, 0.0, 0.0) if self._track_noise is None else self._track_noise
+        match = noise.match_sigma(frame.z[new, 0] - frame.z[new, 1])
         self.state.augment(
             frame.track[new],
-            points,
+            landmarks,
             by_pose=by_pose,
             by_measurement=by_measurement,
-            noise=measurement_variances(frame.sigma[new]),
+            noise=np.column_stack([self._variance(frame)[new], match**2]),
+        )
+
+    def _variance(self, frame: Frame) -> Array:
+        """Variances ``(n, 3)`` [px^2] of the white noise of a frame's measurements."""
+        if self._track_noise is None:
+            return frame.sigma**2
+        return np.broadcast_to(self._track_noise.sigma**2, frame.z.shape)
+
+    def _drift(self) -> None:
+        """Let the tracks in view drift on by a frame."""
+        if self._track_noise is None or self._track_noise.drift == 0.0:
+            return
+        state = self.state
+        self.state.wander(
+            measurement.drift_cov(
+                self._problem.rig,
+                state.world_T_imu,
+                state.landmarks[:, :3],
+                drift=self._track_noise.drift,
+            )
         )
 
     def _retire(self, seen: BoolArray) -> None:
@@ -129,5 +162,5 @@ class EkfEstimator:
             return
         state = self.state
         cov = state.landmark_cov()
-        self._finished.append((state.track[~seen], state.points[~seen], cov[~seen]))
+        self._finished.append((state.track[~seen], state.landmarks[~seen, :3], cov[~seen]))
         state.keep(seen)

@@ -1,5 +1,6 @@
 """The stereo camera: one measurement model for every estimator."""
 
-from vislam.sensors.stereo import StereoRig, measurement_variances
+from vislam.sensors.noise import TrackNoise, independent_sigma
+from vislam.sensors.stereo import StereoRig
 
-__all__ = ["StereoRig", "measurement_variances"]
+__all__ = ["StereoRig", "TrackNoise", "independent_sigma"]

@@ -12,14 +12,6 @@ import numpy as np
 from vislam.geometry import se3
 from vislam.types import Array
 
-_VARIANCE_SHARES = np.array([1.0, 1.0, 0.5])
-"""Variances of (uL, uR, v) as shares of that of a single pixel coordinate: v is the mean of two."""
-
-
-def measurement_variances(sigma: Array) -> Array:
-    """Variances ``(..., 3)`` [px^2] of (uL, uR, v) from the pixel noise ``(...)`` [px]."""
-    return sigma[..., None] ** 2 * _VARIANCE_SHARES
-
 
 @dataclass(frozen=True)
 class StereoRig:

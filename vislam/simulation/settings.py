@@ -58,8 +58,8 @@ class SimulationConfig:
     """Farthest depth at which a track is born [m]."""
     pixel_sigma_px: NonNegative = 0.5
     """White noise of uL, vL, uR and vR [px]."""
-    stereo_bias_sigma_px: NonNegative = 0.0
-    """Error of the stereo match, one value a track, kept as long as it is tracked [px]."""
+    match_px: NonNegative = 0.0
+    """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
     outlier_probability: Probability = 0.0
     """Chance that an observation is off by up to 50 px."""
     stale_probability: Probability = 0.0

@@ -33,8 +33,8 @@ class _Alive:
     track : (n,)
     point, velocity : (n, 3)
         The point that is followed [m] and how it moves [m/s].
-    bias : (n,)
-        Error of the stereo match [px].
+    match : (n,)
+        Share by which the disparity is too large.
     slip : (n, 2)
         Where the tracker has drifted to, column and row [px].
     pixels : (n, 4)
@@ -44,7 +44,7 @@ class _Alive:
     track: IntArray
     point: Array
     velocity: Array
-    bias: Array
+    match: Array
     slip: Array
     pixels: Array
 
@@ -78,7 +78,7 @@ def simulate_tracks(
         alive.point = alive.point + config.period * alive.velocity
         alive.slip = alive.slip + config.drift_px * generator.standard_normal(alive.slip.shape)
         if stale:
-            alive.point = se3.transform(pose, rig.back_project(_triples(alive.pixels, alive.bias)))
+            alive.point = se3.transform(pose, rig.back_project(_triples(alive.pixels, alive.match)))
         else:
             alive.keep(_in_view(config, rig, se3.transform(se3.inverse(pose), alive.point)))
             alive.pixels = _observe(config, rig, pose, alive, generator)
@@ -112,9 +112,9 @@ def _births(
     moving = generator.random(count) < config.moving_share
     speed = config.speed * generator.uniform(-1.0, 1.0, count)
     velocity = np.where(moving, speed, 0.0)[:, None] * pose[:3, 2]
-    bias = config.stereo_bias_sigma_px * generator.standard_normal(count)
+    match = config.match_px * generator.standard_normal(count) / disparity
     ids = first + np.arange(count)
-    new = _Alive(ids, point, velocity, bias, np.zeros((count, 2)), np.empty((count, 4)))
+    new = _Alive(ids, point, velocity, match, np.zeros((count, 2)), np.empty((count, 4)))
     new.pixels = _observe(config, rig, pose, new, generator)
     return new
 
@@ -122,10 +122,10 @@ def _births(
 def _observe(
     config: SimulationConfig, rig: StereoRig, pose: Array, alive: _Alive, generator: np.random.Generator
 ) -> Array:
-    """Pixels (uL, vL, uR, vR) of the tracks, with noise, match error and outliers."""
+    """Pixels (uL, vL, uR, vR) of the tracks, with noise, drift, match error and outliers."""
     z = rig.project(se3.transform(se3.inverse(pose), alive.point))
     column, row = z[:, :2] + alive.slip[:, :1], z[:, 2] + alive.slip[:, 1]
-    right = column[:, 1] + alive.bias - config.disparity_offset_px
+    right = column[:, 1] - alive.match * (z[:, 0] - z[:, 1]) - config.disparity_offset_px
     pixels = np.column_stack([column[:, 0], row, right, row])
     pixels += config.pixel_sigma_px * generator.standard_normal(pixels.shape)
     wrong = generator.random(len(pixels)) < config.outlier_probability
@@ -140,8 +140,8 @@ def _in_view(config: SimulationConfig, rig: StereoRig, points_cam: Array) -> Boo
     return np.asarray(ahead & inside)
 
 
-def _triples(pixels: Array, bias: Array) -> Array:
-    """Measurements without the match error; a disparity below half a pixel counts as that."""
-    left, right = pixels[:, 0], pixels[:, 2] - bias
-    right = np.minimum(right, left - 0.5)
-    return np.column_stack([left, right, 0.5 * (pixels[:, 1] + pixels[:, 3])])
+def _triples(pixels: Array, match: Array) -> Array:
+    """Measurements without the error of the match; a disparity below half a pixel counts as that."""
+    left = pixels[:, 0]
+    disparity = np.maximum((left - pixels[:, 2]) / (1.0 + match), 0.5)
+    return np.column_stack([left, left - disparity, 0.5 * (pixels[:, 1] + pixels[:, 3])])

@@ -8,7 +8,6 @@ import numpy as np
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import integrate
-from vislam.sensors import measurement_variances
 from vislam.smoother.keys import B, X
 from vislam.types import Array
 
@@ -22,7 +21,6 @@ class FactorBuilder:
         self._calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
         self._body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
         self._kernel = None if huber is None else gtsam.noiseModel.mEstimator.Huber.Create(huber)
-        self._stereo_noise: dict[float, gtsam.noiseModel.Base] = {}
 
     def priors(self) -> list[gtsam.NonlinearFactor]:
         """Priors of the first pose and the first bias."""
@@ -46,20 +44,15 @@ class FactorBuilder:
             gtsam.BetweenFactorVector(B(k - 1), B(k), np.zeros(6), walk),
         ]
 
-    def stereo(self, k: int, key: int, *, z: Array, sigma: float) -> gtsam.NonlinearFactor:
-        """Stereo factor of a landmark seen from frame k as ``z (3,)`` = (uL, uR, v) [px]."""
+    def stereo(self, k: int, key: int, *, z: Array, sigma: Array) -> gtsam.NonlinearFactor:
+        """Stereo factor of a landmark seen from frame k as ``z (3,)`` = (uL, uR, v), ``sigma (3,)`` [px]."""
         return gtsam.GenericStereoFactor3D(
             gtsam.StereoPoint2(*z), self._noise(sigma), X(k), key, self._calibration, self._body_P_sensor
         )
 
-    def _noise(self, sigma: float) -> gtsam.noiseModel.Base:
-        if sigma not in self._stereo_noise:
-            sigmas = np.sqrt(measurement_variances(np.array(sigma)))
-            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-            if self._kernel is not None:
-                noise = gtsam.noiseModel.Robust.Create(self._kernel, noise)
-            self._stereo_noise[sigma] = noise
-        return self._stereo_noise[sigma]
+    def _noise(self, sigma: Array) -> gtsam.noiseModel.Base:
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(sigma)
+        return noise if self._kernel is None else gtsam.noiseModel.Robust.Create(self._kernel, noise)
 
 
 def twist_factor(

@@ -65,7 +65,7 @@ class _View:
 
     k: int
     z: Any
-    sigma: float
+    sigma: Any
 
 
 @plain_dataclass
@@ -185,8 +185,10 @@ class Isam2Estimator:
             world_T_imu=book.pose,
             pose_cov=None,
             bias=book.bias,
+            bias_sigma=None,
             nis=0.0,
             dof=0,
+            log_likelihood=float("nan"),
             used=np.isin(frame.track, list(now)),
             gated=np.zeros(len(frame.track), bool),
         )
@@ -230,7 +232,7 @@ class Isam2Estimator:
             track = tracks[row]
             if track in self._book.set_aside:
                 continue
-            view = _View(frame.k, frame.z[row], float(frame.sigma[row]))
+            view = _View(frame.k, frame.z[row], frame.sigma[row])
             if track in self._book.keys:
                 views.append((track, view))
             else:
@@ -261,14 +263,17 @@ class Isam2Estimator:
         return started
 
     def _stack_views(self, tracks: list[int]) -> tuple[Array, Array, Array]:
-        """Poses ``(n, V, 4, 4)``, measurements ``(n, V, 3)`` and noise ``(n, V)`` of waiting tracks."""
+        """Poses ``(n, V, 4, 4)``, measurements ``(n, V, 3)`` and noise ``(n, V, 3)`` of waiting tracks."""
         lists = [self._book.waiting[track] for track in tracks]
         most = max(len(views) for views in lists)
         frames = np.array(
             [[view.k for view in views] + [views[0].k] * (most - len(views)) for views in lists]
         )
         z = np.array([[view.z for view in views] + [views[0].z] * (most - len(views)) for views in lists])
-        sigma = np.array([[view.sigma for view in views] + [np.inf] * (most - len(views)) for views in lists])
+        nothing = np.full(3, np.inf)
+        sigma = np.array(
+            [[view.sigma for view in views] + [nothing] * (most - len(views)) for views in lists]
+        )
         first = int(frames.min())
         return np.array(self._book.poses[first:])[frames - first], z, sigma
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.geometry import se3
-from vislam.sensors import StereoRig, measurement_variances
+from vislam.sensors import StereoRig
 from vislam.types import Array, BoolArray
 
 _ITERATIONS = 6
@@ -48,15 +48,15 @@ def triangulate(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, c
         Pose of each view; the first view of a track comes first.
     z : (n, V, 3)
         Measurements (uL, uR, v) [px].
-    sigma : (n, V)
-        Their pixel noise [px]; infinite where a track has no such view.
+    sigma : (n, V, 3)
+        Their standard deviations [px]; infinite where a track has no such view.
     clear : float
         How many standard deviations the disparity must be away from zero.
     """
     world_T_cam = world_T_imu @ rig.imu_T_cam
     view_T_first = se3.inverse(world_T_cam) @ world_T_cam[:, :1]
-    weight = 1.0 / measurement_variances(sigma)
-    seen = np.isfinite(sigma)
+    weight = 1.0 / sigma**2
+    seen = np.isfinite(sigma[..., 0])
     mean = z[:, 0].copy()
     ready = np.ones(len(z), bool)
     for _ in range(_ITERATIONS):

@@ -1,0 +1,113 @@
+"""``python -m vislam.calibrate``: noise, biases and clock from the data alone; writes a config.
+
+The reference of a recording is never looked at. Exit codes: 0 done, 1 the filter did not finish, 2 bad config
+or data.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from vislam.command import add_config_options, answer, load_config
+
+_BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    return answer(lambda: _calibrate(options), verbose=options.verbose)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m vislam.calibrate", description=__doc__)
+    add_config_options(parser)
+    add = parser.add_argument
+    add(
+        "--out", type=Path, default=Path("calibrated.yaml"), help="config to write (default: calibrated.yaml)"
+    )
+    add("--disparity-offset", action="store_true", help="estimate a constant error of the disparities too")
+    add("--keep-bias-prior", action="store_true", help="leave the prior of the bias as it is in the config")
+    add("--frames", type=int, help="use the first so many frames only")
+    add("--processes", type=int, default=2, help="filters run side by side (default: 2)")
+    return parser
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
+    config = load_config(options)
+    from dataclasses import replace  # noqa: PLC0415
+
+    from vislam import config as configuration  # noqa: PLC0415
+    from vislam.calibration import calibrate, parameters  # noqa: PLC0415
+    from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
+    from vislam.data.source import open_dataset  # noqa: PLC0415
+    from vislam.files import replace_whole  # noqa: PLC0415
+    from vislam.terminal import Terminal  # noqa: PLC0415
+
+    terminal = Terminal()
+    dataset = open_dataset(
+        config.data,
+        seed=config.seed,
+        data_dir=options.data_dir,
+        allow_stand_in=not options.no_stand_in,
+    )
+    if dataset.sequence.stand_in:
+        terminal.note(dataset.notes[0])
+    if options.frames is not None:
+        dataset = replace(dataset, sequence=first_frames(dataset.sequence, options.frames))
+    result = calibrate(
+        config,
+        replace(dataset, reference=None),
+        parameters(disparity_offset=options.disparity_offset),
+        processes=options.processes,
+        say=terminal.note,
+    )
+    terminal.rows(
+        ["parameter", "before", "calibrated", "95 % interval", "unit"],
+        [
+            [
+                item.parameter.name,
+                f"{item.before:.4g}",
+                f"{item.value:.4g}" if item.needed else f"below {item.value:.2g}",
+                f"{item.low:.4g} to {item.high:.4g}" if item.needed else "not needed by the data",
+                item.parameter.unit,
+            ]
+            for item in result.parameters
+        ]
+        + [
+            [
+                f"bias, {name}",
+                f"{old:.4g}",
+                f"{new:.4g}",
+                f"{new - 1.96 * sigma:.4g} to {new + 1.96 * sigma:.4g}",
+                unit,
+            ]
+            for name, old, new, sigma, unit in zip(
+                _BIAS_NAMES,
+                config.noise.bias_mean,
+                result.bias,
+                result.bias_sigma,
+                ["rad/s"] * 3 + ["m/s"] * 3,
+                strict=True,
+            )
+        ],
+        title=f"vislam calibration: {dataset.sequence.name}",
+    )
+    ratios = [run.nis.sum() / max(run.dof.sum(), 1) for run in (result.before, result.after)]
+    terminal.note(f"NIS per degree of freedom: {ratios[0]:.3f} before, {ratios[1]:.3f} calibrated")
+    written = result.config
+    if options.keep_bias_prior:
+        prior = config.noise
+        written = replace(
+            written, noise=replace(written.noise, bias_mean=prior.bias_mean, bias_sigma=prior.bias_sigma)
+        )
+    with replace_whole(options.out) as temporary:
+        temporary.write_text(configuration.dump(written), encoding="utf-8")
+    terminal.note(f"config: {options.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

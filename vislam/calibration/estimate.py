@@ -1,0 +1,188 @@
+"""The calibration: choose observations by the gate, maximise, choose again, until the choice rests."""
+
+import logging
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vislam.calibration.likelihood import Evaluator
+from vislam.calibration.parameters import Parameter
+from vislam.calibration.search import maximise
+from vislam.config import Config
+from vislam.data.source import Dataset
+from vislam.errors import DivergedError
+from vislam.run import Run
+from vislam.types import Array, BoolArray
+
+_log = logging.getLogger("vislam.calibration")
+_CHOICES = 3
+"""How often the gate may choose anew."""
+_RESTS = 0.002
+"""Share of the observations whose change of side ends the choosing."""
+_LARGEST_LOG = 0.7
+_LARGEST_OFFSET_STEPS = 10.0
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """One calibrated parameter.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    before, value : float
+        In the config it started from, and estimated.
+    low, high : float
+        95 % interval; a level at its lowest value has no lower end.
+    needed : bool
+        False for a level that ended at its lowest value.
+    """
+
+    parameter: Parameter
+    before: float
+    value: float
+    low: float
+    high: float
+    needed: bool
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What came out.
+
+    Attributes
+    ----------
+    config : Config
+        With all that was estimated.
+    parameters : list of Calibrated
+    bias, bias_sigma : (6,)
+        Twist bias over the drive and its standard deviation [rad/s, m/s].
+    before, after : Run
+        The filter with the config it started from and with the calibrated one, each with its own gate.
+    """
+
+    config: Config
+    parameters: list[Calibrated]
+    bias: Array
+    bias_sigma: Array
+    before: Run
+    after: Run
+
+
+def calibrate(
+    config: Config,
+    dataset: Dataset,
+    chosen: list[Parameter],
+    *,
+    processes: int = 1,
+    say: Callable[[str], None] = _log.info,
+) -> Calibration:
+    """Calibrate a config on a dataset, whose reference is never looked at.
+
+    Parameters
+    ----------
+    config : Config
+        Where the search starts.
+    dataset : Dataset
+        Repaired by that config.
+    chosen : list of Parameter
+    processes : int
+        How many filters run side by side.
+    say : callable
+        Is given a line after each round.
+
+    Raises
+    ------
+    DivergedError
+        If the filter does not finish with the config it starts from.
+    """
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, mp_context=context) if processes > 1 else None
+    try:
+        return _calibrate(config, chosen, Evaluator(dataset, config, pool), say)
+    finally:
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
+
+
+def _calibrate(
+    config: Config, chosen: list[Parameter], evaluator: Evaluator, say: Callable[[str], None]
+) -> Calibration:
+    before = _finished(evaluator.run(config))
+    current, run = config, before
+    for choice in range(1, _CHOICES + 1):
+        refused = run.gated
+
+        def evaluate(points: list[Array], refused: BoolArray = refused) -> list[Array]:
+            return evaluator.log_likelihoods(
+                [_at(config, chosen, point) for point in points], refused=refused
+            )
+
+        largest = [_LARGEST_LOG if item.logarithmic else _LARGEST_OFFSET_STEPS * item.step for item in chosen]
+        maximum = maximise(
+            evaluate,
+            np.array([item.searched(item.read(current)) for item in chosen]),
+            steps=np.array([item.step for item in chosen]),
+            lowest=np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in chosen]),
+            largest=np.array(largest),
+        )
+        current = _at(config, chosen, maximum.point)
+        run = _finished(evaluator.run(current))
+        ratio = run.nis.sum() / max(run.dof.sum(), 1)
+        changed = int(np.sum(run.gated != refused))
+        say(
+            f"choice {choice} of observations: {maximum.rounds} rounds, "
+            f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {ratio:.3f}, "
+            f"{changed} observations changed sides"
+        )
+        if changed <= _RESTS * len(refused):
+            break
+    bias, bias_sigma = _bias(current, evaluator, run)
+    start_sigma = np.hypot(
+        bias_sigma, np.array(config.noise.bias_walk) * np.sqrt(run.stamp[-1] - run.stamp[0])
+    )
+    noise = replace(
+        current.noise,
+        bias_mean=tuple(bias.tolist()),
+        bias_sigma=tuple(np.maximum(start_sigma, 1e-5).tolist()),
+    )
+    final = replace(current, noise=noise)
+    after = _finished(evaluator.run(final))
+    found = [
+        _with_interval(item, config, value, sigma)
+        for item, value, sigma in zip(chosen, maximum.point, maximum.sigma, strict=True)
+    ]
+    return Calibration(final, found, bias, bias_sigma, before, after)
+
+
+def _bias(config: Config, evaluator: Evaluator, run: Run) -> tuple[Array, Array]:
+    """Constant bias of the whole drive and its standard deviation.
+
+    Without a random walk the filter's last bias is the constant one given all the data: with the prior of the
+    config, the maximum of the same likelihood.
+    """
+    steady = replace(config, noise=replace(config.noise, bias_walk=(0.0,) * 6))
+    last = _finished(evaluator.run(steady, refused=run.gated))
+    return last.bias[-1], last.bias_sigma[-1]
+
+
+def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:
+    for item, searched in zip(chosen, point, strict=True):
+        config = item.write(config, item.value(float(searched)))
+    return config
+
+
+def _finished(run: Run) -> Run:
+    if not run.complete:
+        raise DivergedError(f"the filter did not finish, so there is no likelihood: {run.error}")
+    return run
+
+
+def _with_interval(item: Parameter, config: Config, searched: float, sigma: float) -> Calibrated:
+    needed = bool(np.isfinite(sigma))
+    low = item.value(searched - 1.96 * sigma) if needed else 0.0
+    high = item.value(searched + 1.96 * sigma) if needed else item.value(searched)
+    return Calibrated(item, item.read(config), item.value(searched), low, high, needed)

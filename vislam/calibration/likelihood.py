@@ -1,0 +1,86 @@
+"""Likelihood of a config: the filter run over a repaired sequence with a frozen choice of observations."""
+
+from collections.abc import Sequence as Items
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from vislam import estimator
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.config import Config
+from vislam.data.sequence import Sequence
+from vislam.data.source import Dataset
+from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.repair.inertial import Clock
+from vislam.repair.pixels import DisparityOffset
+from vislam.run import Run
+from vislam.types import Array, BoolArray
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Runs the filter for many configs at once; the observations are those of the repaired sequence.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    base : Config
+        The config that the sequence was repaired with.
+    pool : ProcessPoolExecutor or None
+        Processes to share the work.
+    """
+
+    dataset: Dataset
+    base: Config
+    pool: ProcessPoolExecutor | None = None
+
+    def run(self, config: Config, *, refused: BoolArray | None = None) -> Run:
+        """Run the filter; with ``refused (n,)`` given, that choice of observations replaces the gate."""
+        return _filter(self._moved(config), config, refused)
+
+    def log_likelihoods(self, configs: Items[Config], *, refused: BoolArray) -> list[Array]:
+        """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
+        jobs = [(self._moved(config), config, refused) for config in configs]
+        if self.pool is None:
+            return [_log_likelihood(job) for job in jobs]
+        return list(self.pool.map(_log_likelihood, jobs))
+
+    def _moved(self, config: Config) -> Dataset:
+        """Dataset with the clock and the disparities of a config, all other repairs as they were."""
+        steps, old = config.data.repair, self.base.data.repair
+        sequence = self.dataset.sequence
+        if steps.clock is not None and steps.clock != old.clock:
+            sequence = Clock(offset=steps.clock.offset).apply(sequence)
+        if steps.disparity_offset is not None and steps.disparity_offset != old.disparity_offset:
+            applied = 0.0 if old.disparity_offset is None else old.disparity_offset.pixels
+            sequence = DisparityOffset(pixels=steps.disparity_offset.pixels - applied).apply(sequence)
+        return replace(self.dataset, sequence=sequence)
+
+
+def first_frames(sequence: Sequence, frames: int) -> Sequence:
+    """Return the first frames of a sequence."""
+    frames = min(frames, len(sequence))
+    rows = slice(0, int(sequence.offset[frames]))
+    return replace(
+        sequence,
+        stamp=sequence.stamp[:frames],
+        offset=sequence.offset[: frames + 1],
+        track=sequence.track[rows],
+        pixels=sequence.pixels[rows],
+        row=sequence.row[rows],
+    )
+
+
+def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
+    options = EkfOptions(gate=refused is None)
+    solver = EkfEstimator(make_problem(config, dataset), options)
+    sigma = pixel_sigma(config, dataset)
+    with threadpool_limits(config.blas_threads):
+        return estimator.run(solver, dataset.sequence, sigma, name="ekf", refused=refused)
+
+
+def _log_likelihood(job: tuple[Dataset, Config, BoolArray]) -> Array:
+    run = _filter(*job)
+    return run.log_likelihood if run.complete else np.full(run.frames_expected, -np.inf)

@@ -1,0 +1,114 @@
+"""What can be calibrated: how each parameter is read from a config, written into one, and searched."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from vislam.config import Config, NoiseConfig
+from vislam.repair.inertial import Clock
+from vislam.repair.pixels import DisparityOffset
+
+_GYRO, _FORWARD, _LATERAL, _VERTICAL = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the config.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name as a dotted path of the config.
+    read : callable
+        Its value in a config.
+    write : callable
+        The config with another value.
+    logarithmic : bool
+        A level, searched by its logarithm and never below ``lowest``; else an offset.
+    step : float
+        Half the distance of the finite difference, in the searched scale.
+    lowest : float
+        Smallest level; a level that ends there is not needed by the data.
+    """
+
+    name: str
+    unit: str
+    read: Callable[[Config], float]
+    write: Callable[[Config, float], Config]
+    logarithmic: bool
+    step: float
+    lowest: float = -np.inf
+
+    def searched(self, value: float) -> float:
+        """Value in the searched scale."""
+        return float(np.log(max(value, self.lowest))) if self.logarithmic else value
+
+    def value(self, searched: float) -> float:
+        """Value of a point in the searched scale."""
+        return float(np.exp(searched)) if self.logarithmic else searched
+
+
+def parameters(*, disparity_offset: bool = False) -> list[Parameter]:
+    """List what is calibrated: pixel and inertial noise, clock and, if asked for, the disparity offset."""
+    found = [
+        _pixel("pixel_sigma_px", lowest=0.02),
+        _pixel("drift_px", lowest=0.005),
+        _pixel("match_px", lowest=0.02),
+        _density("gyro", _GYRO, unit="rad/sqrt(s)", lowest=2e-5),
+        _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
+        _density("lateral", _LATERAL, unit="m/sqrt(s)", lowest=2e-4),
+        _density("vertical", _VERTICAL, unit="m/sqrt(s)", lowest=2e-4),
+        Parameter("data.repair.clock.offset", "s", _clock, _with_clock, False, 2e-3),
+    ]
+    if disparity_offset:
+        name = "data.repair.disparity_offset.pixels"
+        found.append(Parameter(name, "px", _offset, _with_offset, False, 0.02))
+    return found
+
+
+def _pixel(name: str, *, lowest: float) -> Parameter:
+    def read(config: Config) -> float:
+        return float(getattr(config.noise, name))
+
+    def write(config: Config, value: float) -> Config:
+        return replace(config, noise=_changed(config.noise, {name: value}))
+
+    return Parameter(f"noise.{name}", "px", read, write, True, 0.03, lowest)
+
+
+def _density(name: str, part: slice, *, unit: str, lowest: float) -> Parameter:
+    def read(config: Config) -> float:
+        return float(np.mean(config.noise.twist_density[part]))
+
+    def write(config: Config, value: float) -> Config:
+        density = np.array(config.noise.twist_density)
+        density[part] = value
+        return replace(config, noise=_changed(config.noise, {"twist_density": tuple(density.tolist())}))
+
+    return Parameter(f"noise.twist_density ({name})", unit, read, write, True, 0.05, lowest)
+
+
+def _changed(noise: NoiseConfig, values: dict[str, Any]) -> NoiseConfig:
+    return replace(noise, **values)
+
+
+def _clock(config: Config) -> float:
+    clock = config.data.repair.clock
+    return 0.0 if clock is None else clock.offset
+
+
+def _with_clock(config: Config, value: float) -> Config:
+    steps = replace(config.data.repair, clock=Clock(offset=value))
+    return replace(config, data=replace(config.data, repair=steps))
+
+
+def _offset(config: Config) -> float:
+    offset = config.data.repair.disparity_offset
+    return 0.0 if offset is None else offset.pixels
+
+
+def _with_offset(config: Config, value: float) -> Config:
+    steps = replace(config.data.repair, disparity_offset=DisparityOffset(pixels=value))
+    return replace(config, data=replace(config.data, repair=steps))

@@ -1,0 +1,130 @@
+"""Maximum of a likelihood that is a sum over frames, by finite differences of few points.
+
+Two runs a parameter give the score of each frame and the curvature along that parameter. The curvatures and the
+correlations of the scores make up the information, and Newton's step with it is damped as far as needed. The
+standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does not.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.types import Array, BoolArray
+
+Evaluate = Callable[[list[Array]], list[Array]]
+"""From points ``(p,)`` to log likelihoods of each frame ``(T,)``."""
+
+_log = logging.getLogger("vislam.calibration")
+_ROUNDS = 12
+_DAMPING = (0.0, 0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    point : (p,)
+    sigma : (p,)
+        Standard deviation; infinite for parameters at their lowest value.
+    log_likelihood : float
+    rounds : int
+    """
+
+    point: Array
+    sigma: Array
+    log_likelihood: float
+    rounds: int
+
+
+def maximise(
+    evaluate: Evaluate, start: Array, *, steps: Array, lowest: Array, largest: Array, tolerance: float = 0.5
+) -> Maximum:
+    """Search the maximum.
+
+    Parameters
+    ----------
+    evaluate : callable
+    start : (p,)
+    steps : (p,)
+        Half of each finite difference.
+    lowest : (p,)
+        Bounds; -inf for none.
+    largest : (p,)
+        Largest move of a parameter in one round.
+    tolerance : float
+        The search ends when a round gains less log likelihood than this.
+    """
+    point = np.maximum(start, lowest)
+    for rounds in range(1, _ROUNDS + 1):
+        scores, here, curvature = _scores(evaluate, point, steps)
+        free = ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
+        candidates = [
+            np.maximum(point + np.clip(move, -largest, largest), lowest)
+            for move in _moves(scores, curvature, free)
+        ]
+        values = [float(part.sum()) for part in evaluate(candidates)]
+        choice = int(np.argmax(values))
+        gain = values[choice] - here
+        _log.info("round %d: log likelihood %.1f, gain %.1f, at %s", rounds, here, gain, np.round(point, 3))
+        if gain > 0.0:
+            point, here = candidates[choice], values[choice]
+        if gain < tolerance:
+            break
+    return Maximum(point, _sigma(scores, curvature, free), here, rounds)
+
+
+def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
+    """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the log likelihood at the point."""
+    points = [point]
+    for index in range(len(point)):
+        for sign in (1.0, -1.0):
+            moved = point.copy()
+            moved[index] += sign * steps[index]
+            points.append(moved)
+    values = evaluate(points)
+    here, above, below = values[0], values[1::2], values[2::2]
+    slopes = [(up - down) / (2.0 * step) for up, down, step in zip(above, below, steps, strict=True)]
+    bends = [
+        (2.0 * here - up - down).sum() / step**2 for up, down, step in zip(above, below, steps, strict=True)
+    ]
+    scores = np.nan_to_num(np.column_stack(slopes), posinf=0.0, neginf=0.0)
+    return scores, float(here.sum()), np.nan_to_num(np.array(bends), posinf=0.0, neginf=0.0)
+
+
+def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
+    """Steps to try: Newton's with more and more damping."""
+    gradient, information = scores.sum(axis=0), _information(scores, curvature)
+    moves = []
+    for damping in _DAMPING:
+        move = np.zeros(len(gradient))
+        inside = information[np.ix_(free, free)]
+        damped = inside + np.diag((damping + 1e-9) * np.diagonal(inside))
+        move[free] = np.linalg.solve(damped, gradient[free])
+        moves.append(move)
+    return moves
+
+
+def _spread(scores: Array) -> Array:
+    """Sum of the outer products of the scores about their mean."""
+    centred = scores - scores.mean(axis=0)
+    return centred.T @ centred + 1e-12 * np.eye(scores.shape[1])
+
+
+def _information(scores: Array, curvature: Array) -> Array:
+    """Curvatures on the diagonal, correlated as the scores are; the scores' own where it bends upwards."""
+    spread = _spread(scores)
+    variance = np.diagonal(spread)
+    scale = np.sqrt(np.where(curvature > 0.0, curvature, variance) / variance)
+    return np.asarray(scale[:, None] * spread * scale)
+
+
+def _sigma(scores: Array, curvature: Array, free: BoolArray) -> Array:
+    sigma = np.full(scores.shape[1], np.inf)
+    inside = np.ix_(free, free)
+    inverse = np.linalg.pinv(_information(scores, curvature)[inside])
+    sigma[free] = np.sqrt(np.diagonal(inverse @ _spread(scores)[inside] @ inverse))
+    return sigma

@@ -1,0 +1,62 @@
+"""What the commands share: the options that name a config, and how errors become a line and an exit code."""
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from vislam.errors import ConfigError, DataError, DivergedError
+
+
+def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+    """Add the options that name a config, override its values and say where the data is."""
+    add = parser.add_argument
+    add("--config", type=Path, required=required, help="YAML configuration")
+    add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
+    add("--seed", type=int, help="seed of whatever is simulated")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a config value by dotted path",
+    )
+    add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
+    add("--verbose", action="store_true", help="log what is read, cut and dropped")
+
+
+def load_config(options: argparse.Namespace) -> Any:
+    """Load the config that the options name, with their overrides."""
+    from vislam import config as configuration  # noqa: PLC0415
+
+    return configuration.load(options.config, overrides=overrides(options))
+
+
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """Values that the options put in place of the config's, by dotted path."""
+    found: dict[str, Any] = {}
+    for item in options.set:
+        key, equals, text = item.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {item}: expected KEY=VALUE")
+        found[key] = yaml.safe_load(text)
+    if options.seed is not None:
+        found["seed"] = options.seed
+    return found
+
+
+def answer(work: Callable[[], int], *, verbose: bool) -> int:
+    """Do the work of a command and return its exit code; what goes wrong becomes one line."""
+    logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
+    try:
+        return work()
+    except (ConfigError, DataError) as error:
+        print(f"vislam: {error}", file=sys.stderr)
+        return 2
+    except DivergedError as error:
+        print(f"vislam: {error}", file=sys.stderr)
+        return 1
