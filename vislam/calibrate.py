@@ -27,6 +27,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--out", type=Path, default=Path("calibrated.yaml"), help="config to write (default: calibrated.yaml)"
     )
+    add("--inertial", action="store_true", help="estimate the noise of gyro and forward velocity too")
     add("--disparity-offset", action="store_true", help="estimate a constant error of the disparities too")
     add("--keep-bias-prior", action="store_true", help="leave the prior of the bias as it is in the config")
     add("--frames", type=int, help="use the first so many frames only")
@@ -60,7 +61,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     result = calibrate(
         config,
         replace(dataset, reference=None),
-        parameters(disparity_offset=options.disparity_offset),
+        parameters(inertial=options.inertial, disparity_offset=options.disparity_offset),
         processes=options.processes,
         say=terminal.note,
     )

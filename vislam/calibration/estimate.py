@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.parameters import Parameter
+from vislam.calibration.match import MatchLevel, match_level
+from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import maximise
 from vislam.config import Config
 from vislam.data.source import Dataset
@@ -113,13 +114,16 @@ def _calibrate(
 ) -> Calibration:
     before = _finished(evaluator.run(config))
     current, run = config, before
+    match = MatchLevel(config.noise.match_px, np.inf, False)
     for choice in range(1, _CHOICES + 1):
+        match = match_level(current, evaluator)
+        current = MATCH.write(current, match.pixels)
+        run = _finished(evaluator.run(current))
         refused = run.gated
+        start = current
 
-        def evaluate(points: list[Array], refused: BoolArray = refused) -> list[Array]:
-            return evaluator.log_likelihoods(
-                [_at(config, chosen, point) for point in points], refused=refused
-            )
+        def evaluate(points: list[Array], start: Config = start, refused: BoolArray = refused) -> list[Array]:
+            return evaluator.log_likelihoods([_at(start, chosen, point) for point in points], refused=refused)
 
         largest = [_LARGEST_LOG if item.logarithmic else _LARGEST_OFFSET_STEPS * item.step for item in chosen]
         maximum = maximise(
@@ -129,7 +133,7 @@ def _calibrate(
             lowest=np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in chosen]),
             largest=np.array(largest),
         )
-        current = _at(config, chosen, maximum.point)
+        current = _at(current, chosen, maximum.point)
         run = _finished(evaluator.run(current))
         ratio = run.nis.sum() / max(run.dof.sum(), 1)
         changed = int(np.sum(run.gated != refused))
@@ -155,6 +159,9 @@ def _calibrate(
         _with_interval(item, config, value, sigma)
         for item, value, sigma in zip(chosen, maximum.point, maximum.sigma, strict=True)
     ]
+    if match.found:
+        level = MATCH.searched(match.pixels)
+        found.append(_with_interval(MATCH, config, level, match.sigma / match.pixels))
     return Calibration(final, found, bias, bias_sigma, before, after)
 
 

@@ -16,7 +16,7 @@ from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 from vislam.run import Run
-from vislam.types import Array, BoolArray
+from vislam.types import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,13 @@ class Evaluator:
     def run(self, config: Config, *, refused: BoolArray | None = None) -> Run:
         """Run the filter; with ``refused (n,)`` given, that choice of observations replaces the gate."""
         return _filter(self._moved(config), config, refused)
+
+    def match_errors(self, config: Config) -> tuple[IntArray, Array, Array]:
+        """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
+        dataset = self._moved(config)
+        solver = EkfEstimator(make_problem(config, dataset), EkfOptions())
+        _run(solver, dataset, config, None)
+        return solver.match_errors()
 
     def log_likelihoods(self, configs: Items[Config], *, refused: BoolArray) -> list[Array]:
         """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
@@ -74,8 +81,11 @@ def first_frames(sequence: Sequence, frames: int) -> Sequence:
 
 
 def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
-    options = EkfOptions(gate=refused is None)
-    solver = EkfEstimator(make_problem(config, dataset), options)
+    solver = EkfEstimator(make_problem(config, dataset), EkfOptions(gate=refused is None))
+    return _run(solver, dataset, config, refused)
+
+
+def _run(solver: EkfEstimator, dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
     sigma = pixel_sigma(config, dataset)
     with threadpool_limits(config.blas_threads):
         return estimator.run(solver, dataset.sequence, sigma, name="ekf", refused=refused)

@@ -50,18 +50,42 @@ class Parameter:
         return float(np.exp(searched)) if self.logarithmic else searched
 
 
-def parameters(*, disparity_offset: bool = False) -> list[Parameter]:
-    """List what is calibrated: pixel and inertial noise, clock and, if asked for, the disparity offset."""
+MATCH = Parameter(
+    "noise.match_px",
+    "px",
+    lambda config: config.noise.match_px,
+    lambda config, value: replace(config, noise=replace(config.noise, match_px=value)),
+    True,
+    0.03,
+    0.02,
+)
+"""The error of the stereo match, which is not searched but read off the filter (``vislam.calibration.match``)."""
+
+
+def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> list[Parameter]:
+    """List what is searched: pixel noise, side slip and heave, clock, and what else is asked for.
+
+    Parameters
+    ----------
+    inertial : bool
+        The noise of the gyro and of the forward velocity too. Innovations reach no farther than a track, so
+        they cannot tell noise that accumulates from vibration between the samples or an error that all tracks
+        share; on recorded drives that puts the level too high, and the heading then follows the camera.
+    disparity_offset : bool
+        A constant error of all disparities.
+    """
     found = [
         _pixel("pixel_sigma_px", lowest=0.02),
         _pixel("drift_px", lowest=0.005),
-        _pixel("match_px", lowest=0.02),
-        _density("gyro", _GYRO, unit="rad/sqrt(s)", lowest=2e-5),
-        _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
         _density("lateral", _LATERAL, unit="m/sqrt(s)", lowest=2e-4),
         _density("vertical", _VERTICAL, unit="m/sqrt(s)", lowest=2e-4),
         Parameter("data.repair.clock.offset", "s", _clock, _with_clock, False, 2e-3),
     ]
+    if inertial:
+        found += [
+            _density("gyro", _GYRO, unit="rad/sqrt(s)", lowest=2e-5),
+            _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
+        ]
     if disparity_offset:
         name = "data.repair.disparity_offset.pixels"
         found.append(Parameter(name, "px", _offset, _with_offset, False, 0.02))

@@ -1,8 +1,8 @@
 """Maximum of a likelihood that is a sum over frames, by finite differences of few points.
 
-Two runs a parameter give the score of each frame and the curvature along that parameter. The curvatures and the
-correlations of the scores make up the information, and Newton's step with it is damped as far as needed. The
-standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does not.
+Two runs a parameter give the score of each frame and the curvature along that parameter. The curvatures and
+the correlations of the scores make up the information, and Newton's step with it is damped as far as needed.
+The standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does not.
 """
 
 import logging
@@ -78,7 +78,7 @@ def maximise(
 
 
 def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
-    """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the log likelihood at the point."""
+    """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the likelihood at the point."""
     points = [point]
     for index in range(len(point)):
         for sign in (1.0, -1.0):

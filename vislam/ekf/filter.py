@@ -53,6 +53,7 @@ class EkfEstimator:
         )
         self._poses: list[Array] = []
         self._finished: list[tuple[IntArray, Array, Array]] = []
+        self._matches: list[Array] = []
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
@@ -88,6 +89,11 @@ class EkfEstimator:
         track, points, cov = (np.concatenate(part) for part in zip(*self._finished, strict=True))
         order = np.argsort(track)
         return Estimate(np.array(self._poses), track[order], points[order], cov[order], {})
+
+    def match_errors(self) -> tuple[IntArray, Array, Array]:
+        """Tracks that have ended, their match errors and the variances of these, ``(m,)`` each."""
+        table = np.concatenate(self._matches)
+        return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
     def _fuse(
         self, frame: Frame, slots: IntArray, rows: IntArray, allowed: BoolArray
@@ -163,4 +169,7 @@ class EkfEstimator:
         state = self.state
         cov = state.landmark_cov()
         self._finished.append((state.track[~seen], state.landmarks[~seen, :3], cov[~seen]))
+        self._matches.append(
+            np.column_stack([state.track, state.landmarks[:, 3], state.match_variance()])[~seen]
+        )
         state.keep(seen)

@@ -32,6 +32,10 @@ class JointState:
         blocks = self.cov[NAV:, NAV:].reshape(n, LANDMARK, n, LANDMARK)
         return np.array(blocks[np.arange(n), :3, np.arange(n), :3])
 
+    def match_variance(self) -> Array:
+        """Variances of the landmarks' match errors, ``(n,)``."""
+        return np.array(np.diagonal(self.cov)[NAV + LANDMARK - 1 :: LANDMARK])
+
     def predict(self, prev_T_next: Array, transition: Array, noise: Array) -> None:
         """Move the pose by a step; ``F P F^T + Q`` on the navigation block (eq. 25)."""
         self.world_T_imu = self.world_T_imu @ prev_T_next

@@ -1,0 +1,62 @@
+"""Level of the stereo match error, read off the errors that the filter has found.
+
+Their distribution has heavy tails, which a Gaussian likelihood would follow; so the level is the one at which the
+median error is what the filter expects: a fixed point, with a robust standard deviation in place of the maximum.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vislam.calibration.likelihood import Evaluator
+from vislam.config import Config
+from vislam.types import Array
+
+_ITERATIONS = 4
+_RESTS = 0.01
+_KNOWN = 0.5
+"""A match error counts when its variance has come down to this share of what it was at first sight."""
+_FEWEST = 30
+_NORMAL = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation from zero."""
+_SPREAD = 1.166
+"""Standard deviation of that estimate, times the square root of the number of samples, over the level."""
+
+
+@dataclass(frozen=True)
+class MatchLevel:
+    """Level and its standard deviation [px]; ``found`` is False if too few errors ever became known."""
+
+    pixels: float
+    sigma: float
+    found: bool
+
+
+def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
+    """Level of the match error on the evaluator's sequence, all other settings those of the config."""
+    level, sigma = max(config.noise.match_px, 0.1), np.inf
+    first_disparity = _first_disparities(evaluator)
+    for _ in range(_ITERATIONS):
+        trial = replace(config, noise=replace(config.noise, match_px=level))
+        track, error, variance = evaluator.match_errors(trial)
+        prior = (level / first_disparity[track]) ** 2
+        known = variance < _KNOWN * prior
+        if np.count_nonzero(known) < _FEWEST:
+            return MatchLevel(config.noise.match_px, np.inf, False)
+        # What has been learnt of an error has the variance that its own has lost.
+        pixels = (error / np.sqrt(1.0 - variance / prior) * first_disparity[track])[known]
+        before, level = level, max(_NORMAL * float(np.median(np.abs(pixels))), 0.02)
+        sigma = _SPREAD * level / np.sqrt(len(pixels))
+        if abs(level - before) < _RESTS * before:
+            break
+    return MatchLevel(level, float(sigma), True)
+
+
+def _first_disparities(evaluator: Evaluator) -> Array:
+    """Disparity of the first observation of each track, by its id [px]."""
+    sequence = evaluator.dataset.sequence
+    disparity = sequence.z[:, 0] - sequence.z[:, 1]
+    track, first = np.unique(sequence.track, return_index=True)
+    out = np.ones(int(track.max()) + 1)
+    out[track] = disparity[first]
+    return out
