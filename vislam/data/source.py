@@ -11,7 +11,8 @@ from vislam import repair
 from vislam.config import DataConfig
 from vislam.data.course_npz import load_course_npz
 from vislam.data.download import cache_folder, recording_with
-from vislam.data.reference import Reference, load_reference, truth_reference
+from vislam.data.reference import Reference, truth_reference
+from vislam.data.reference_files import load_reference
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
 from vislam.simulation import simulate
@@ -101,12 +102,7 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
         _log.warning(note)
         return Dataset(sequence, None, (note,))
     reference = load_reference(
-        found,
-        config.reference.format,
-        name=config.reference.name,
-        limits=config.reference.limits,
-        imu_T_cam=sequence.rig.imu_T_cam,
-        frames=len(sequence),
+        found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
     return Dataset(sequence, reference, ())
 
