@@ -49,6 +49,18 @@ class ReferenceConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class InertialConfig:
+    """Inertial samples from elsewhere than the recording's own file."""
+
+    format: Literal["oxts"]
+    """``oxts``: folder of a KITTI raw drive, synced or not."""
+    folder: str
+    """Folder that holds ``data`` and ``timestamps.txt``, searched for where the recording is."""
+    camera_timestamps: str | None = None
+    """The drive's ``image_00/timestamps.txt``, searched for alike; null: sample k is at frame k."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Where the data comes from and how it is to be read and repaired."""
 
@@ -56,6 +68,8 @@ class DataConfig:
     """Recorded course file (.npz); null for a simulation."""
     simulation: SimulationConfig | None = None
     """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
+    inertial: InertialConfig | None = None
+    """What replaces the inertial samples of ``file``, or null."""
     repair: RepairConfig = RepairConfig()
     """The repairs, each by its name; they hold for a recording and for its stand-in."""
     reference: ReferenceConfig | None = None
@@ -65,6 +79,8 @@ class DataConfig:
         """Refuse a section without any data."""
         if self.file is None and self.simulation is None:
             raise ValueError("one of file and simulation must be given")
+        if self.inertial is not None and self.file is None:
+            raise ValueError("inertial replaces the samples of a recording: file must be given")
 
 
 Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]

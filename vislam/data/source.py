@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from vislam import repair
-from vislam.config import DataConfig
+from vislam.config import DataConfig, InertialConfig
 from vislam.data.course_npz import load_course_npz
 from vislam.data.download import cache_folder, recording_with
+from vislam.data.oxts import with_oxts
 from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
 from vislam.data.sequence import Sequence
@@ -93,7 +94,10 @@ def _not_found(name: str, folders: list[Path]) -> str:
 
 
 def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
-    sequence = _repaired(load_course_npz(path), config)
+    sequence = load_course_npz(path)
+    if config.inertial is not None:
+        sequence = _with_inertial(sequence, config.inertial, [path.parent, *folders])
+    sequence = _repaired(sequence, config)
     if config.reference is None:
         return Dataset(sequence, None, ("no reference: nothing here says how far off an estimate is",))
     found = find_file(config.reference.file, [path.parent, *folders])
@@ -105,6 +109,23 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
         found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
     return Dataset(sequence, reference, ())
+
+
+def _with_inertial(sequence: Sequence, config: InertialConfig, folders: list[Path]) -> Sequence:
+    camera = config.camera_timestamps
+    return with_oxts(
+        sequence,
+        _existing(config.folder, folders),
+        camera_timestamps=None if camera is None else _existing(camera, folders),
+    )
+
+
+def _existing(name: str, folders: list[Path]) -> Path:
+    found = next((folder / name for folder in folders if (folder / name).exists()), None)
+    if found is None:
+        looked = ", ".join(str(folder) for folder in folders)
+        raise DataError(f"{name}: not found in {looked}; put the drive's folder into one of these")
+    return found
 
 
 def _simulated(config: DataConfig, seed: int) -> Dataset:

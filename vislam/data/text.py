@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -41,20 +42,29 @@ def read_table(
     DataError
         If the file cannot be read, is not such a table, or is larger than a table of this kind can be.
     """
-    values, lines = array("d"), array("q")
+    values, numbers = array("d"), array("q")
+    for number, text in read_lines(path):
+        fields = text.split(b"," if comma else None)
+        values.extend(_row(fields, columns, more=more, where=f"{path}:{number}"))
+        numbers.append(number)
+    return np.array(values).reshape(-1, columns), np.array(numbers, dtype=np.int64)
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Lines of a text file with their numbers, stripped; empty ones and comments (``#``) are passed over.
+
+    They are bytes and read up to a limit: a binary file has no encoding, and no line ends either.
+    """
     try:
         if (size := path.stat().st_size) > _LARGEST_BYTES:
             raise DataError(f"{path}: must be a text file of at most {_LARGEST_BYTES} bytes, got {size}")
         with path.open("rb") as file:
-            # A line is bytes and read up to a limit: a binary file has no line ends, and no encoding either.
             for number, text in enumerate(iter(lambda: file.readline(_LONGEST_LINE), b""), 1):
-                fields = text.strip().split(b"," if comma else None)
-                if fields and fields[0] and not fields[0].startswith(b"#"):
-                    values.extend(_row(fields, columns, more=more, where=f"{path}:{number}"))
-                    lines.append(number)
+                stripped = text.strip()
+                if stripped and not stripped.startswith(b"#"):
+                    yield number, stripped
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    return np.array(values).reshape(-1, columns), np.array(lines, dtype=np.int64)
 
 
 def _row(fields: list[bytes], columns: int, *, more: bool, where: str) -> list[float]:
