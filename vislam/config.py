@@ -61,11 +61,25 @@ class InertialConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PackagedConfig:
+    """Real stereo tracks that an installed package brings; odometry is made for them."""
+
+    name: Literal["kitti00"]
+    """``kitti00``: the beginning of KITTI odometry 00, from GTSAM's examples."""
+    gyro_sigma: NonNegative = 0.05
+    """White noise of the made angular velocity, one value a frame [rad/s]."""
+    velocity_sigma: NonNegative = 0.5
+    """White noise of the made velocity, one value a frame [m/s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Where the data comes from and how it is to be read and repaired."""
 
     file: str | None = None
-    """Recorded course file (.npz); null for a simulation."""
+    """Recorded course file (.npz); null for a simulation or packaged data."""
+    packaged: PackagedConfig | None = None
+    """Data from an installed package, with its own reference, in place of all other sources."""
     simulation: SimulationConfig | None = None
     """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
     inertial: InertialConfig | None = None
@@ -76,9 +90,15 @@ class DataConfig:
     """Reference trajectory of the recording, or null."""
 
     def __post_init__(self) -> None:
-        """Refuse a section without any data."""
+        """Refuse a section without any data, and keys that would go unheard."""
+        if self.packaged is not None:
+            if any((self.file, self.simulation, self.inertial, self.reference)):
+                raise ValueError(
+                    "packaged stands in place of file, simulation, inertial and reference: give it alone"
+                )
+            return
         if self.file is None and self.simulation is None:
-            raise ValueError("one of file and simulation must be given")
+            raise ValueError("one of file, simulation and packaged must be given")
         if self.inertial is not None and self.file is None:
             raise ValueError("inertial replaces the samples of a recording: file must be given")
 

@@ -12,13 +12,12 @@ from vislam.data.reference import Reference
 from vislam.data.text import read_table
 from vislam.errors import DataError
 from vislam.geometry import se3
+from vislam.sensors import CAMERA_AXES
 from vislam.types import Array, IntArray
 
 _log = logging.getLogger("vislam.data")
 
-_UPRIGHT = se3.from_rotation_translation(
-    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
-)
+_UPRIGHT = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
 """From camera axes to x forward, y left, z up: planar and height then mean the same for all."""
 _ROTATION_TOLERANCE = 1e-3
 """How far R^T R may be from the identity; the files carry seven digits."""

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from vislam import repair
-from vislam.config import DataConfig, InertialConfig
+from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.data.course_npz import load_course_npz
 from vislam.data.download import cache_folder, recording_with
+from vislam.data.gtsam_stereo import load_kitti00
 from vislam.data.oxts import with_oxts
 from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
@@ -31,7 +32,7 @@ class Dataset:
         Repaired.
     reference : Reference or None
     notes : tuple of str
-        What a reader of the report must know: stand-in, missing reference.
+        What a reader of the report must know: stand-in, made odometry, missing reference.
     """
 
     sequence: Sequence
@@ -63,7 +64,7 @@ def open_dataset(
     ----------
     config : DataConfig
     seed : int
-        Seed of a simulation.
+        Seed of a simulation, and of the noise of packaged data.
     data_dir : Path, optional
         First folder to look for files.
     allow_stand_in : bool
@@ -74,6 +75,8 @@ def open_dataset(
     DataError
         If the recording is missing and may not be replaced, or cannot be used.
     """
+    if config.packaged is not None:
+        return _packaged(config, config.packaged, seed)
     folders = search_path(data_dir)
     path = None if config.file is None else find_file(config.file, folders)
     if path is not None:
@@ -126,6 +129,18 @@ def _existing(name: str, folders: list[Path]) -> Path:
         looked = ", ".join(str(folder) for folder in folders)
         raise DataError(f"{name}: not found in {looked}; put the drive's folder into one of these")
     return found
+
+
+def _packaged(config: DataConfig, packaged: PackagedConfig, seed: int) -> Dataset:
+    raw, reference = load_kitti00(
+        gyro_sigma=packaged.gyro_sigma, velocity_sigma=packaged.velocity_sigma, seed=seed
+    )
+    note = (
+        "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they have no inertial data, so the "
+        f"twist is that of their visual odometry with noise added, {packaged.gyro_sigma:g} rad/s and "
+        f"{packaged.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
+    )
+    return Dataset(_repaired(raw, config), reference, (note,))
 
 
 def _simulated(config: DataConfig, seed: int) -> Dataset:

@@ -1,5 +1,5 @@
 """The stereo camera: one measurement model for every estimator."""
 
-from vislam.sensors.stereo import StereoRig, measurement_variances
+from vislam.sensors.stereo import CAMERA_AXES, StereoRig, measurement_variances
 
-__all__ = ["StereoRig", "measurement_variances"]
+__all__ = ["CAMERA_AXES", "StereoRig", "measurement_variances"]
