@@ -71,6 +71,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     }
     for estimator in ("dead_reckoning", "ekf", "isam2"):
         wanted |= {f"{estimator}.tum", f"{estimator}.ply", f"runs/{estimator}.npz"}
+        wanted |= {f"{estimator}_kitti.txt", f"{estimator}_trajectory.npz"}
     assert names == wanted
     document = json.loads((folder / "metrics.json").read_text())
     assert document["schema_version"] == 1
