@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.cli.test_compare import course_file
 from tests.conftest import recorded
 from vislam.data import Sequence, load_course_npz
 from vislam.data.source import Dataset
@@ -113,6 +114,14 @@ def test_tracks_on_a_moving_object_are_cut(short: Dataset):
     assert np.nanmedian(residual[~moving]) < 2.5
     untouched = Consensus(threshold=8.0).apply(sequence).counts["inconsistent_cuts"]
     assert untouched < 0.02 * sequence.observations
+
+
+def test_a_wild_inertial_sample_does_not_stop_the_vote(tmp_path):
+    turned = np.zeros((3, 6))
+    turned[1, 0] = 32.0
+    course_file(tmp_path / "a.npz", angular_velocity=turned)
+    sequence = load_course_npz(tmp_path / "a.npz")
+    assert Consensus().apply(sequence).observations == sequence.observations
 
 
 @pytest.mark.parametrize(("name", "stale", "columns"), [("03.npz", 153, 5105), ("0027.npz", 91, 3950)])
