@@ -11,7 +11,7 @@ from vislam.config import STAMPED, ReferenceConfig
 from vislam.data.reference import Reference
 from vislam.data.text import read_table
 from vislam.errors import DataError
-from vislam.geometry import se3
+from vislam.geometry import se3, so3
 from vislam.sensors import CAMERA_AXES
 from vislam.types import Array, IntArray
 
@@ -162,15 +162,14 @@ def _check(rows: _Rows) -> None:
         )
     if rows.pose is None:
         return
-    rotation = rows.pose[:, :3, :3]
-    off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2))
-    improper = np.flatnonzero(~(off < _ROTATION_TOLERANCE) | (np.linalg.det(rotation) < 0))
+    off, determinant = so3.defect(rows.pose[:, :3, :3])
+    improper = np.flatnonzero(~(off < _ROTATION_TOLERANCE) | (determinant < 0))
     if len(improper):
         first = improper[0]
         raise rows.fail(
             first,
             "a rotation (orthogonal, determinant +1)",
-            f"R^T R off by {off[first]:.2g}, determinant {np.linalg.det(rotation[first]):.3g}",
+            f"R^T R off by {off[first]:.2g}, determinant {determinant[first]:.3g}",
         )
 
 
