@@ -103,4 +103,3 @@ def test_the_largest_recording_is_never_held_in_memory(tmp_path):
     # The array alone would take 1,287 MB; what is kept here is eight times what the recording has.
     assert peak < 300e6
     assert kept < 150e6
-    print(f"peak {peak / 1e6:.0f} MB, kept {kept / 1e6:.0f} MB")
