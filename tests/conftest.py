@@ -16,6 +16,8 @@ SHORT = SimulationConfig(
     frames=25,
     tracks_in_view=25,
     pixel_sigma_px=0.3,
+    drift_px=0.1,
+    match_px=0.4,
     stale_probability=0.1,
     gyro_bias=(0.003, -0.002, 0.004),
     gyro_sigma=0.002,
@@ -36,7 +38,7 @@ def short_config() -> Config:
     return Config(
         name="short",
         data=DataConfig(simulation=SHORT, repair=RepairConfig(consensus=None)),
-        noise=NoiseConfig(pixel_sigma_px=0.3, twist_density=tuple(density)),
+        noise=NoiseConfig(pixel_sigma_px=0.3, drift_px=0.1, match_px=0.4, twist_density=tuple(density)),
     )
 
 

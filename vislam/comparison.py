@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from vislam import config as configuration
 from vislam import estimator
 from vislam.config import Config
-from vislam.data.export import write_ply, write_tum
+from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import DataError
 from vislam.estimator import Estimator, Problem
@@ -147,6 +147,8 @@ def write_results(
     for name, run in runs.items():
         run.save(folder / "runs" / f"{name}.npz")
         write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
+        write_kitti(folder / f"{name}_kitti.txt", run.world_T_imu)
+        write_npz(folder / f"{name}_trajectory.npz", run)
         write_ply(folder / f"{name}.ply", run.points_world)
     provenance = _provenance()
     write_metrics(

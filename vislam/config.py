@@ -17,6 +17,9 @@ from vislam.simulation.settings import SimulationConfig
 
 Parsed = TypeVar("Parsed")
 
+STAMPED = ("tum", "euroc")
+"""Formats of a reference that name stamps, not frames."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ReferenceConfig:
@@ -24,12 +27,49 @@ class ReferenceConfig:
 
     file: str
     """File name, searched for where the recording is."""
-    format: Literal["planar_xy", "kitti_cam"]
-    """``planar_xy``: lines of frame, x, y. ``kitti_cam``: 12 numbers a line, left camera poses."""
+    format: Literal["planar_xy", "kitti", "kitti360", "tum", "euroc"]
+    """``planar_xy``: lines of frame, x, y. ``kitti``: 12 numbers a line (3 x 4, row by row), one a frame.
+    ``kitti360``: the frame before the 12 numbers. ``tum``: stamp, x, y, z, qx, qy, qz, qw. ``euroc``: EuRoC's
+    ground truth, with commas: stamp [ns], x, y, z, qw, qx, qy, qz, then anything."""
     name: str
     """Its name, as the report prints it."""
     limits: str
     """What it does not tell."""
+    pose_of: Literal["imu", "left_camera"] = "imu"
+    """What its positions and poses are those of."""
+    up: Literal["z", "-y"] = "z"
+    """Axis of its world that points up; "-y" where the world has a camera's axes, as in KITTI odometry."""
+    max_time_difference: Positive = 0.02
+    """Farthest that a stamp may be from the camera stamp it is taken for (``tum``, ``euroc``) [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse a plane whose normal is not up."""
+        if self.format == "planar_xy" and self.up != "z":
+            raise ValueError("a planar_xy reference lies in the plane across z: up must be z")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class InertialConfig:
+    """Inertial samples from elsewhere than the recording's own file."""
+
+    format: Literal["oxts"]
+    """``oxts``: folder of a KITTI raw drive, synced or not."""
+    folder: str
+    """Folder that holds ``data`` and ``timestamps.txt``, searched for where the recording is."""
+    camera_timestamps: str | None = None
+    """The drive's ``image_00/timestamps.txt``, searched for alike; null: sample k is at frame k."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PackagedConfig:
+    """Real stereo tracks that an installed package brings; odometry is made for them."""
+
+    name: Literal["kitti00"]
+    """``kitti00``: the beginning of KITTI odometry 00, from GTSAM's examples."""
+    gyro_sigma: NonNegative = 0.05
+    """White noise of the made angular velocity, one value a frame [rad/s]."""
+    velocity_sigma: NonNegative = 0.5
+    """White noise of the made velocity, one value a frame [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -37,18 +77,30 @@ class DataConfig:
     """Where the data comes from and how it is to be read and repaired."""
 
     file: str | None = None
-    """Recorded course file (.npz); null for a simulation."""
+    """Recorded course file (.npz); null for a simulation or packaged data."""
+    packaged: PackagedConfig | None = None
+    """Data from an installed package, with its own reference, in place of all other sources."""
     simulation: SimulationConfig | None = None
     """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
+    inertial: InertialConfig | None = None
+    """What replaces the inertial samples of ``file``, or null."""
     repair: RepairConfig = RepairConfig()
     """The repairs, each by its name; they hold for a recording and for its stand-in."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording, or null."""
 
     def __post_init__(self) -> None:
-        """Refuse a section without any data."""
+        """Refuse a section without any data, and keys that would go unheard."""
+        if self.packaged is not None:
+            if any((self.file, self.simulation, self.inertial, self.reference)):
+                raise ValueError(
+                    "packaged stands in place of file, simulation, inertial and reference: give it alone"
+                )
+            return
         if self.file is None and self.simulation is None:
-            raise ValueError("one of file and simulation must be given")
+            raise ValueError("one of file, simulation and packaged must be given")
+        if self.inertial is not None and self.file is None:
+            raise ValueError("inertial replaces the samples of a recording: file must be given")
 
 
 Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]

@@ -27,6 +27,7 @@ _MEDIAN_CHI3 = 1.538
 _TUNING = 2.0
 _ITERATIONS = 12
 _NEAREST = 0.5
+_RIDGE, _RELATIVE_RIDGE = 1e-6, 1e-14
 _SMALLEST_SCALE = 0.2
 
 
@@ -141,7 +142,9 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
         scale = _scale(square)
         weight = 1.0 / (1.0 + square / (_TUNING * scale) ** 2) ** 2
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
-        information = weighted.T @ jacobian.reshape(-1, 6) + 1e-6 * np.eye(6)
+        information = weighted.T @ jacobian.reshape(-1, 6)
+        # From a bad guess the points can all come to lie in one direction, which leaves the rest open.
+        information += (_RIDGE + _RELATIVE_RIDGE * np.trace(information)) * np.eye(6)
         step = np.linalg.solve(information, weighted.T @ residual.reshape(-1))
         motion = se3.exp(step) @ motion
         if np.abs(step).max() < 1e-6:

@@ -71,6 +71,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     }
     for estimator in ("dead_reckoning", "ekf", "isam2"):
         wanted |= {f"{estimator}.tum", f"{estimator}.ply", f"runs/{estimator}.npz"}
+        wanted |= {f"{estimator}_kitti.txt", f"{estimator}_trajectory.npz"}
     assert names == wanted
     document = json.loads((folder / "metrics.json").read_text())
     assert document["schema_version"] == 1
@@ -236,7 +237,7 @@ BAD_CONFIGS = {
         "name: s\ndata: {file: a.npz, repair: {disparity: {least: 3}}}\n",
         "known are minimum_px, row_difference_px",
     ),
-    "no data": ("name: s\ndata: {}\n", "one of file and simulation must be given"),
+    "no data": ("name: s\ndata: {}\n", "one of file, simulation and packaged must be given"),
     "missing data": ("name: s\n", "data: "),
     "not a mapping": ("- 1\n", "expected a mapping"),
     "not YAML": ("a: [1\n", "not a YAML file"),

@@ -49,7 +49,7 @@ def test_triangulation_finds_the_point_and_waits_for_the_far_one(rng):
     poses = se3.exp(np.array([[0, 0, 0, 0, 0, 0.4 * k] for k in range(4)], dtype=float))
     z = np.stack([rig.project(se3.transform(se3.inverse(pose), points)) for pose in poses], axis=1)
     z[2, 3] += [40.0, 40.0, 0.0]
-    start = triangulate(rig, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4), 0.5), clear=5.0)
+    start = triangulate(rig, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4, 3), 0.5), clear=5.0)
     assert start.ready.tolist() == [True, False, False]
     assert np.allclose(start.points_world[0], points[0], atol=1e-6)
 
@@ -66,7 +66,11 @@ def test_it_agrees_with_the_filter_where_all_is_nearly_linear(short_config: Conf
     )
     root = np.sqrt(nearly.period)
     noise = replace(
-        short_config.noise, pixel_sigma_px=0.05, twist_density=(1e-4 * root,) * 3 + (1e-3 * root,) * 3
+        short_config.noise,
+        pixel_sigma_px=0.05,
+        drift_px=0.0,
+        match_px=0.0,
+        twist_density=(1e-4 * root,) * 3 + (1e-3 * root,) * 3,
     )
     config = replace(
         short_config, noise=noise, data=DataConfig(simulation=nearly, repair=RepairConfig(consensus=None))

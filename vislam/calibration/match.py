@@ -1,7 +1,8 @@
 """Level of the stereo match error, read off the errors that the filter has found.
 
-Their distribution has heavy tails, which a Gaussian likelihood would follow; so the level is the one at which the
-median error is what the filter expects: a fixed point, with a robust standard deviation in place of the maximum.
+Their distribution has heavy tails, which a Gaussian likelihood would follow; so the level is the one at which
+the median error is what the filter expects: a fixed point, with a robust standard deviation in place of the
+maximum.
 """
 
 from dataclasses import dataclass, replace
@@ -44,7 +45,8 @@ def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
         if np.count_nonzero(known) < _FEWEST:
             return MatchLevel(config.noise.match_px, np.inf, False)
         # What has been learnt of an error has the variance that its own has lost.
-        pixels = (error / np.sqrt(1.0 - variance / prior) * first_disparity[track])[known]
+        learnt = 1.0 - variance[known] / prior[known]
+        pixels = error[known] / np.sqrt(learnt) * first_disparity[track[known]]
         before, level = level, max(_NORMAL * float(np.median(np.abs(pixels))), 0.02)
         sigma = _SPREAD * level / np.sqrt(len(pixels))
         if abs(level - before) < _RESTS * before:

@@ -59,7 +59,7 @@ MATCH = Parameter(
     0.03,
     0.02,
 )
-"""The error of the stereo match, which is not searched but read off the filter (``vislam.calibration.match``)."""
+"""The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""
 
 
 def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> list[Parameter]:

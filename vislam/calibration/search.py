@@ -2,7 +2,8 @@
 
 Two runs a parameter give the score of each frame and the curvature along that parameter. The curvatures and
 the correlations of the scores make up the information, and Newton's step with it is damped as far as needed.
-The standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does not.
+The standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does
+not.
 """
 
 import logging

@@ -5,23 +5,36 @@ the archive piece by piece and never held.
 """
 
 import hashlib
-import math
+import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 
+from vislam.data.npy import ArrayError, PackedArray, open_array
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
-from vislam.geometry import se3
+from vislam.geometry import se3, so3
 from vislam.sensors import StereoRig
 from vislam.types import Array, IntArray
 
 _UNSEEN = -1.0
-_CHUNK_VALUES = 1 << 20
-_SMALL_ARRAY_BYTES = 1 << 26
+_MOST_SMALL_VALUES = 1 << 22
+_MOST_SEEN_VALUES = 1 << 24
+"""Values of ``features`` that are no sentinels, four an observation; more would take gigabytes to sort."""
+_LARGEST_STAMP = 1e11
+_LARGEST_NUMBER = 1e6
+"""Of pixels and lengths [px, m]: beyond it a number is no measurement, and squares of squares overflow."""
+_LARGEST_TWIST = 200.0
+"""Of velocities [rad/s, m/s]; no camera that is carried is faster."""
+_SHORTEST_STEP = 1e-6
+"""Frames closer in time than this are none [s]."""
+_SHOWN = 200
+"""So much of what a broken file says goes into a message."""
+_SHORTEST_BASELINE = 1e-4
+# RuntimeError and ValueError: an unknown method, an encrypted member, an offset that is none.
+_BROKEN = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError, ValueError)
 _ROTATION_TOLERANCE = 1e-3
 """How far R^T R may be from the identity; the files carry seven digits."""
 
@@ -43,8 +56,12 @@ def load_course_npz(path: Path) -> Sequence:
     try:
         with zipfile.ZipFile(path) as archive:
             return _Reader(archive, path).sequence()
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
-        raise DataError(f"{path}: not a whole npz archive ({error}); fetch or copy the file again") from None
+    except DataError:
+        raise
+    except _BROKEN as error:
+        raise DataError(
+            f"{path}: not a whole npz archive ({_shown(error)}); fetch or copy the file again"
+        ) from None
 
 
 class _Reader:
@@ -53,7 +70,8 @@ class _Reader:
     def __init__(self, archive: zipfile.ZipFile, path: Path) -> None:
         self._archive = archive
         self._path = path
-        self._keys = {name.removesuffix(".npy") for name in archive.namelist()}
+        names = archive.namelist()
+        self._keys = {name.removesuffix(".npy") for name in names if name.endswith(".npy")}
 
     def sequence(self) -> Sequence:
         angular = self._one_of("angular_velocity", "rotational_velocity")
@@ -62,7 +80,8 @@ class _Reader:
             self._one_of(key)
         stamp = self._stamps()
         frames = len(stamp)
-        twist = np.vstack([self._small(angular, (3, frames)), self._small("linear_velocity", (3, frames))])
+        velocities = (angular, "linear_velocity")
+        twist = np.vstack([self._small(key, (3, frames), largest=_LARGEST_TWIST) for key in velocities])
         pose = self._rigid_transform(extrinsic)
         if extrinsic == "cam_T_imu":
             pose = se3.inverse(pose)
@@ -97,51 +116,42 @@ class _Reader:
             if key in self._keys:
                 return key
         wanted = " or ".join(f"'{key}'" for key in keys)
-        raise DataError(f"{self._path}: key {wanted} is missing; the file has {sorted(self._keys)}")
+        raise DataError(f"{self._path}: key {wanted} is missing; the file has {_shown(sorted(self._keys))}")
 
-    def _open(self, key: str) -> tuple[IO[bytes], tuple[int, ...], bool, np.dtype[Any]]:
-        """Open a member behind its header: the stream, and the shape, order and type of the array."""
-        name = f"{key}.npy"
-        stream = self._archive.open(name)
+    def _open(self, key: str) -> PackedArray:
         try:
-            version = np.lib.format.read_magic(stream)
-            read = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else (np.lib.format.read_array_header_2_0)
-            )
-            shape, fortran, dtype = read(stream)
-        except ValueError as error:
-            raise self._fail(key, "a plain numpy array", f"an unreadable header ({error})") from None
-        if dtype.hasobject or dtype.kind not in "fiu":
-            raise self._fail(key, "a plain array of real numbers (pickled objects are refused)", f"{dtype}")
-        expected = math.prod(shape) * dtype.itemsize
-        got = self._archive.getinfo(name).file_size - stream.tell()
-        if expected != got:
-            raise self._fail(key, f"{expected} bytes long as its shape {shape} says", f"{got} bytes")
-        return stream, shape, fortran, dtype
+            return open_array(self._archive, f"{key}.npy")
+        except ArrayError as error:
+            raise DataError(f"{self._path}: '{key}' {error}") from None
 
-    def _small(self, key: str, shape: tuple[int, ...] | None = None) -> Array:
+    def _small(
+        self, key: str, shape: tuple[int, ...] | None = None, *, largest: float = _LARGEST_NUMBER
+    ) -> Array:
         """Read a whole array of finite numbers, float64, of the given shape."""
-        stream, found, fortran, dtype = self._open(key)
-        with stream:
-            if shape is not None and found != shape:
-                raise self._fail(key, f"of shape {shape}", f"{found}")
-            if math.prod(found) * dtype.itemsize > _SMALL_ARRAY_BYTES:
-                raise self._fail(key, f"smaller than {_SMALL_ARRAY_BYTES} bytes", f"shape {found}")
-            flat = np.frombuffer(stream.read(), dtype=dtype).astype(np.float64)
-        if not np.all(np.isfinite(flat)):
-            raise self._fail(
-                key, "free of NaN and infinity", f"{np.count_nonzero(~np.isfinite(flat))} of them"
-            )
-        return flat.reshape(found, order="F" if fortran else "C")
+        packed = self._open(key)
+        if shape is not None and packed.shape != shape:
+            raise self._fail(key, f"of shape {shape}", f"{packed.shape}")
+        if packed.size > _MOST_SMALL_VALUES:
+            raise self._fail(key, f"of at most {_MOST_SMALL_VALUES} numbers", f"shape {packed.shape}")
+        with packed.stream:
+            flat = np.concatenate([np.empty(0), *packed.chunks()])
+        self._check_numbers(key, flat, largest)
+        return flat.reshape(packed.shape, order="F" if packed.fortran else "C")
+
+    def _check_numbers(self, key: str, values: Array, largest: float) -> None:
+        infinite = np.count_nonzero(~np.isfinite(values))
+        if infinite:
+            raise self._fail(key, "free of NaN and infinity", f"{infinite} of them")
+        beyond = np.flatnonzero(np.abs(values) > largest)
+        if len(beyond):
+            raise self._fail(key, f"made of numbers up to {largest:g}", f"{values[beyond[0]]:g}")
 
     def _stamps(self) -> Array:
-        stamp = self._small("time_stamps")
+        stamp = self._small("time_stamps", largest=_LARGEST_STAMP)
         if stamp.size != max(stamp.shape, default=0) or stamp.size < 2:
             raise self._fail("time_stamps", "of shape (1, T) with T at least 2", f"{stamp.shape}")
         stamp = stamp.reshape(-1)
-        wrong = np.flatnonzero(np.diff(stamp) <= 0)
+        wrong = np.flatnonzero(np.diff(stamp) < _SHORTEST_STEP)
         if len(wrong):
             raise self._fail(
                 "time_stamps",
@@ -154,66 +164,80 @@ class _Reader:
         matrix = self._small("K", (3, 3))
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
         plain = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        if not (np.allclose(matrix, plain, atol=1e-9) and min(fx, fy, cx, cy) > 0):
+        if not (np.allclose(matrix, plain, atol=1e-9) and min(fx, fy) >= 1.0 and min(cx, cy) > 0):
             raise self._fail(
                 "K",
-                "an intrinsic matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive entries [px]",
+                "an intrinsic matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx, fy >= 1, cx, cy > 0 [px]",
                 f"{matrix.tolist()}",
             )
         return {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
 
     def _baseline(self) -> float:
-        value = self._small("b")
-        if value.size != 1 or value.reshape(-1)[0] <= 0:
-            raise self._fail("b", "one baseline > 0 [m]", f"{value.tolist()}")
-        return float(value.reshape(-1)[0])
+        value = self._small("b").reshape(-1)
+        if len(value) != 1 or value[0] < _SHORTEST_BASELINE:
+            raise self._fail("b", "one baseline > 0 [m]", f"{value[:2].tolist()} of {len(value)}")
+        return float(value[0])
 
     def _rigid_transform(self, key: str) -> Array:
         pose = self._small(key, (4, 4))
         rotation = pose[:3, :3]
-        off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-        if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0 or np.any(pose[3] != [0, 0, 0, 1]):
+        off, determinant = so3.defect(rotation)
+        if off > _ROTATION_TOLERANCE or determinant < 0 or np.any(pose[3] != [0, 0, 0, 1]):
             raise self._fail(
                 key,
                 "a rigid transform (rotation, determinant +1, last row 0 0 0 1)",
-                f"R^T R off by {off:.2g}, determinant {np.linalg.det(rotation):.3g}, "
-                f"last row {pose[3].tolist()}",
+                f"R^T R off by {off:.2g}, determinant {determinant:.3g}, last row {pose[3].tolist()}",
             )
         u, _, vt = np.linalg.svd(rotation)
         return se3.from_rotation_translation(u @ vt, pose[:3, 3])
 
     def _observations(self, frames: int) -> tuple[IntArray, IntArray, Array, int]:
         """Frame, track and pixels of each stereo observation, by frame, and how many were partial."""
-        stream, shape, fortran, dtype = self._open("features")
-        if len(shape) != 3 or shape[0] != 4 or shape[2] != frames:
-            raise self._fail("features", f"of shape (4, M, {frames})", f"{shape}")
-        with stream:
-            position, value = _stream_seen(stream, dtype)
-        if not np.all(np.isfinite(value)):
-            raise self._fail(
-                "features", "free of NaN and infinity", f"{np.count_nonzero(~np.isfinite(value))} of them"
-            )
-        component, track, frame = np.unravel_index(position, shape, order="F" if fortran else "C")
-        order = np.lexsort((component, track, frame))
-        component, track, frame, value = component[order], track[order], frame[order], value[order]
-        cell = frame * shape[1] + track
-        _, start, length = np.unique(cell, return_index=True, return_counts=True)
-        whole = start[length == 4]
-        return frame[whole], track[whole], value[whole[:, None] + np.arange(4)], int(np.sum(length != 4))
+        packed = self._open("features")
+        if len(packed.shape) != 3 or packed.shape[0] != 4 or packed.shape[2] != frames:
+            raise self._fail("features", f"of shape (4, M, {frames})", f"{packed.shape}")
+        columns = packed.shape[1]
+        with packed.stream:
+            position, value = self._seen(packed)
+        self._check_numbers("features", value, _LARGEST_NUMBER)
+        entry = _by_frame(position, columns, frames, fortran=packed.fortran)
+        order = np.argsort(entry)
+        entry, value = entry[order], value[order]
+        cell = entry // 4
+        whole = np.flatnonzero((entry[:-3] % 4 == 0) & (entry[3:] - entry[:-3] == 3))
+        incomplete = int(np.count_nonzero(np.diff(cell, prepend=-1))) - len(whole)
+        frame, track = cell[whole] // max(columns, 1), cell[whole] % max(columns, 1)
+        return frame, track, value[whole[:, None] + np.arange(4)], incomplete
+
+    def _seen(self, packed: PackedArray) -> tuple[IntArray, Array]:
+        """Flat positions and values of all entries that are not the sentinel."""
+        positions, values, start, count = [np.empty(0, np.int64)], [np.empty(0)], 0, 0
+        for chunk in packed.chunks():
+            seen = np.flatnonzero(chunk != _UNSEEN)
+            count += len(seen)
+            if count > _MOST_SEEN_VALUES:
+                raise self._fail(
+                    "features", f"mostly {_UNSEEN:g}, at most {_MOST_SEEN_VALUES} values being others", "more"
+                )
+            positions.append(seen + start)
+            values.append(chunk[seen].astype(np.float64))
+            start += len(chunk)
+        return np.concatenate(positions), np.concatenate(values)
 
 
-def _stream_seen(stream: IO[bytes], dtype: np.dtype[Any]) -> tuple[IntArray, Array]:
-    """Flat positions and values of all entries that are not the sentinel."""
-    positions, values, start = [], [], 0
-    while piece := stream.read(_CHUNK_VALUES * dtype.itemsize):
-        chunk = np.frombuffer(piece, dtype=dtype)
-        seen = np.flatnonzero(chunk != _UNSEEN)
-        positions.append(seen + start)
-        values.append(chunk[seen].astype(np.float64))
-        start += len(chunk)
-    if not positions:
-        return np.empty(0, np.int64), np.empty(0)
-    return np.concatenate(positions), np.concatenate(values)
+def _by_frame(position: IntArray, columns: int, frames: int, *, fortran: bool) -> IntArray:
+    """From flat positions in an array (4, columns, frames) to those of (frames, columns, 4)."""
+    if fortran:
+        return position
+    component, rest = np.divmod(position, max(columns * frames, 1))
+    track, frame = np.divmod(rest, frames)
+    return (frame * columns + track) * 4 + component
+
+
+def _shown(what: object) -> str:
+    """Text of something from a file, in one line that is not too long."""
+    text = " ".join(str(what).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _sha256(path: Path) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vislam.files import replace_whole
+from vislam.run import Run
 from vislam.types import Array
 
 
@@ -15,6 +16,45 @@ def write_tum(path: Path, stamp: Array, world_T_imu: Array) -> None:
     table = np.column_stack([stamp, world_T_imu[:, :3, 3], quaternion])
     with replace_whole(path) as temporary:
         np.savetxt(temporary, table, fmt="%.9f")
+
+
+def write_kitti(path: Path, world_T_imu: Array) -> None:
+    """Write poses ``(T, 4, 4)`` as KITTI lines, the upper three rows of each matrix, row by row.
+
+    They are what the estimator states: the body, not the camera, in a world with z up. KITTI's own files have
+    the left camera in the axes of its first pose.
+    """
+    with replace_whole(path) as temporary:
+        np.savetxt(temporary, world_T_imu[:, :3].reshape(-1, 12), fmt="%.9e")
+
+
+def write_npz(path: Path, run: Run) -> None:
+    """Write a run's trajectory and map for other programs, as compressed arrays without pickled objects.
+
+    ``stamp (T,)``
+        Camera times [s].
+    ``world_T_imu``, ``world_T_imu_causal (T, 4, 4)``
+        Poses of the body as known in the end, and as known at their own time.
+    ``pose_cov (T, 6, 6)``
+        Covariance of the causal pose, in the order (omega [rad], v [m]), of a perturbation on its right. NaN
+        where the estimator gave none.
+    ``track (m,)``, ``points_world (m, 3)``
+        Ids of the landmarks and their places [m].
+    ``points_cov (m, 3, 3)``
+        Their covariances [m^2]; missing where the estimator gave none.
+    """
+    arrays = {
+        "stamp": run.stamp,
+        "world_T_imu": run.world_T_imu,
+        "world_T_imu_causal": run.world_T_imu_causal,
+        "pose_cov": run.pose_cov,
+        "track": run.track,
+        "points_world": run.points_world,
+    }
+    if run.points_cov is not None:
+        arrays["points_cov"] = run.points_cov
+    with replace_whole(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def write_ply(path: Path, points_world: Array) -> None:

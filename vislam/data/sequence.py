@@ -9,6 +9,9 @@ import numpy as np
 from vislam.sensors import StereoRig
 from vislam.types import Array, BoolArray, IntArray
 
+_STEP_END = 1e-7
+"""How far the samples of a step with constant twist lie inside its ends, as a share of its length."""
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -203,6 +206,29 @@ class Sequence:
 def stereo_triples(pixels: Array) -> Array:
     """(uL, uR, v) of pixels (uL, vL, uR, vR), ``(n, 4)`` to ``(n, 3)`` [px]."""
     return np.column_stack([pixels[:, 0], pixels[:, 2], 0.5 * (pixels[:, 1] + pixels[:, 3])])
+
+
+def piecewise_constant(stamp: Array, step_twist: Array) -> tuple[Array, Array]:
+    """Inertial samples whose mean over each step is the step's own twist, which they keep all through it.
+
+    A sequence joins its samples by straight lines, so a step has two equal ones just inside its ends; what
+    lies between two steps is too short to be felt.
+
+    Parameters
+    ----------
+    stamp : (T,)
+        Camera times, increasing from about 0 [s].
+    step_twist : (T - 1, 6)
+        Twist from each frame to the next [rad/s, m/s].
+
+    Returns
+    -------
+    inertial_stamp : (2 (T - 1),)
+    twist : (2 (T - 1), 6)
+    """
+    inside = _STEP_END * np.diff(stamp)
+    ends = np.column_stack([stamp[:-1] + inside, stamp[1:] - inside])
+    return ends.reshape(-1), np.repeat(step_twist, 2, axis=0)
 
 
 def _integrate_linear(stamp: Array, value: Array, at: Array) -> Array:

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from vislam import repair
-from vislam.config import DataConfig
+from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.data.course_npz import load_course_npz
 from vislam.data.download import cache_folder, recording_with
-from vislam.data.reference import Reference, load_reference, truth_reference
+from vislam.data.gtsam_stereo import load_kitti00
+from vislam.data.oxts import with_oxts
+from vislam.data.reference import Reference, truth_reference
+from vislam.data.reference_files import load_reference
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
 from vislam.simulation import simulate
@@ -29,7 +32,7 @@ class Dataset:
         Repaired.
     reference : Reference or None
     notes : tuple of str
-        What a reader of the report must know: stand-in, missing reference.
+        What a reader of the report must know: stand-in, made odometry, missing reference.
     """
 
     sequence: Sequence
@@ -61,7 +64,7 @@ def open_dataset(
     ----------
     config : DataConfig
     seed : int
-        Seed of a simulation.
+        Seed of a simulation, and of the noise of packaged data.
     data_dir : Path, optional
         First folder to look for files.
     allow_stand_in : bool
@@ -72,6 +75,8 @@ def open_dataset(
     DataError
         If the recording is missing and may not be replaced, or cannot be used.
     """
+    if config.packaged is not None:
+        return _packaged(config, config.packaged, seed)
     folders = search_path(data_dir)
     path = None if config.file is None else find_file(config.file, folders)
     if path is not None:
@@ -92,7 +97,10 @@ def _not_found(name: str, folders: list[Path]) -> str:
 
 
 def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
-    sequence = _repaired(load_course_npz(path), config)
+    sequence = load_course_npz(path)
+    if config.inertial is not None:
+        sequence = _with_inertial(sequence, config.inertial, [path.parent, *folders])
+    sequence = _repaired(sequence, config)
     if config.reference is None:
         return Dataset(sequence, None, ("no reference: nothing here says how far off an estimate is",))
     found = find_file(config.reference.file, [path.parent, *folders])
@@ -101,14 +109,38 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
         _log.warning(note)
         return Dataset(sequence, None, (note,))
     reference = load_reference(
-        found,
-        config.reference.format,
-        name=config.reference.name,
-        limits=config.reference.limits,
-        imu_T_cam=sequence.rig.imu_T_cam,
-        frames=len(sequence),
+        found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
     return Dataset(sequence, reference, ())
+
+
+def _with_inertial(sequence: Sequence, config: InertialConfig, folders: list[Path]) -> Sequence:
+    camera = config.camera_timestamps
+    return with_oxts(
+        sequence,
+        _existing(config.folder, folders),
+        camera_timestamps=None if camera is None else _existing(camera, folders),
+    )
+
+
+def _existing(name: str, folders: list[Path]) -> Path:
+    found = next((folder / name for folder in folders if (folder / name).exists()), None)
+    if found is None:
+        looked = ", ".join(str(folder) for folder in folders)
+        raise DataError(f"{name}: not found in {looked}; put the drive's folder into one of these")
+    return found
+
+
+def _packaged(config: DataConfig, packaged: PackagedConfig, seed: int) -> Dataset:
+    raw, reference = load_kitti00(
+        gyro_sigma=packaged.gyro_sigma, velocity_sigma=packaged.velocity_sigma, seed=seed
+    )
+    note = (
+        "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they have no inertial data, so the "
+        f"twist is that of their visual odometry with noise added, {packaged.gyro_sigma:g} rad/s and "
+        f"{packaged.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
+    )
+    return Dataset(_repaired(raw, config), reference, (note,))
 
 
 def _simulated(config: DataConfig, seed: int) -> Dataset:

@@ -39,6 +39,16 @@ def log(rotation: Array) -> Array:
     return vectors.reshape(rotation.shape[:-1])
 
 
+def defect(matrix: Array) -> tuple[Array, Array]:
+    """How far matrices ``(..., 3, 3)`` are from rotations: max ``|R^T R - 1|``, and the determinant.
+
+    The determinant is the triple product of the rows, which has no trouble with numbers next to zero.
+    """
+    off = np.abs(np.swapaxes(matrix, -1, -2) @ matrix - np.eye(3)).max(axis=(-1, -2))
+    normal = np.cross(matrix[..., 0, :], matrix[..., 1, :])
+    return off, np.asarray(np.sum(normal * matrix[..., 2, :], axis=-1))
+
+
 def left_jacobian(omega: Array) -> Array:
     """Left Jacobian of the exponential: ``exp(omega + d) ~ exp(J d) @ exp(omega)``.
 

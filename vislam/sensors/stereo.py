@@ -12,6 +12,9 @@ import numpy as np
 from vislam.geometry import se3
 from vislam.types import Array
 
+CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation from a level, forward-looking camera to the body."""
+
 
 @dataclass(frozen=True)
 class StereoRig:

@@ -8,14 +8,11 @@ import numpy as np
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.repair.mounting import axes_rotation
-from vislam.sensors import StereoRig
+from vislam.sensors import CAMERA_AXES, StereoRig
 from vislam.simulation.path import DrivePath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks
 from vislam.types import Array
-
-_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Rotation from a level, forward-looking camera to the body."""
 
 
 @dataclass(frozen=True)
@@ -111,5 +108,5 @@ def stereo_rig(config: SimulationConfig) -> StereoRig:
     """Stereo rig of a simulation."""
     rig = config.rig
     tilt = so3.exp(np.array([0.0, np.deg2rad(rig.pitch_deg), 0.0]))
-    mounting = se3.from_rotation_translation(tilt @ _CAMERA_AXES, np.array(rig.position_imu))
+    mounting = se3.from_rotation_translation(tilt @ CAMERA_AXES, np.array(rig.position_imu))
     return StereoRig(rig.fx, rig.fy, rig.cx, rig.cy, rig.baseline, mounting)

@@ -105,6 +105,15 @@ class _Book:
     set_aside: set[int] = field(default_factory=set)
 
 
+@plain_dataclass
+class _Checkpoint:
+    """State to fall back on, and the frames taken since."""
+
+    isam: Any
+    book: _Book
+    since: list[Frame]
+
+
 class Isam2Estimator:
     """Poses, biases and landmarks of the whole drive in one graph.
 
@@ -122,8 +131,7 @@ class Isam2Estimator:
         self._isam = gtsam.ISAM2(_parameters(options))
         self._book = _Book(np.eye(4), problem.bias_mean)
         self._frozen = gtsam.KeyList()
-        self._checkpoint = (gtsam.ISAM2(self._isam), copy.deepcopy(self._book))
-        self._since: list[Frame] = []
+        self._checkpoints: list[_Checkpoint] = []
         self.counts = {
             "landmarks_too_weak": 0,
             "landmarks_set_aside": 0,
@@ -137,29 +145,40 @@ class Isam2Estimator:
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
         if frame.k % self._options.checkpoint_frames == 0:
-            self._checkpoint = (gtsam.ISAM2(self._isam), copy.deepcopy(self._book))
-            self._since = []
-        self._since.append(frame)
+            now = _Checkpoint(gtsam.ISAM2(self._isam), copy.deepcopy(self._book), [])
+            self._checkpoints = [*self._checkpoints[-1:], now]
+        for checkpoint in self._checkpoints:
+            checkpoint.since.append(frame)
         try:
             return self._step(frame, refused)
         except RuntimeError:
             return self._rescue()
 
     def _rescue(self) -> StepRecord:
-        """Repeat the frames since the checkpoint without the camera."""
-        isam, book = self._checkpoint
-        self._isam, self._book = gtsam.ISAM2(isam), copy.deepcopy(book)
+        """Repeat the frames since a checkpoint without the camera.
+
+        The newest may have been taken when what went wrong was already in the graph: then the one before it.
+        """
+        while len(self._checkpoints) > 1:
+            try:
+                return self._repeat(self._checkpoints[-1])
+            except RuntimeError:
+                self._checkpoints.pop()
+        return self._repeat(self._checkpoints[0])
+
+    def _repeat(self, checkpoint: "_Checkpoint") -> StepRecord:
+        self._isam, self._book = gtsam.ISAM2(checkpoint.isam), copy.deepcopy(checkpoint.book)
         self._frozen = gtsam.KeyList()
         for key in self._book.frozen:
             self._frozen.push_back(key)
-        for frame in self._since:
+        for frame in checkpoint.since:
             lost = set(frame.track.tolist())
             self._book.set_aside |= lost
             for track in lost & self._book.waiting.keys():
                 del self._book.waiting[track]
         self.counts["rescues"] += 1
-        self.counts["frames_without_camera"] += len(self._since)
-        for frame in self._since:
+        self.counts["frames_without_camera"] += len(checkpoint.since)
+        for frame in checkpoint.since:
             record = self._step(frame, np.ones(len(frame.track), bool))
         return record
 
@@ -201,7 +220,7 @@ class Isam2Estimator:
             self._rescue()
             values = self._isam.calculateBestEstimate()
         # The last update takes the most memory: let go of what only a later step would need.
-        del self._checkpoint
+        self._checkpoints = []
         everything = gtsam.ISAM2UpdateParams()
         everything.forceFullSolve = True
         for _ in range(self._options.final_iterations):

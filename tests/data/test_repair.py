@@ -1,0 +1,186 @@
+"""The cuts, on arrays small enough to count by hand and on the recorded files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.cli.test_compare import course_file
+from tests.conftest import recorded
+from vislam.data import Sequence, load_course_npz
+from vislam.data.source import Dataset
+from vislam.repair import RepairConfig, apply
+from vislam.repair.consensus import Consensus, step_residuals
+from vislam.repair.mounting import Axes, Baseline, Extrinsic, axes_rotation
+from vislam.repair.pixels import Disparity, DisparityOffset
+from vislam.repair.tracks import Interruptions, StaleTracks, stale_observations
+from vislam.sensors import StereoRig
+from vislam.simulation import SimulationConfig, simulate
+
+
+def made_up(rows):
+    """Rows of (frame, track, uL, uR) as a sequence of five frames."""
+    table = np.array(sorted(rows), dtype=float)
+    frames = table[:, 0].astype(int)
+    offset = np.concatenate([[0], np.cumsum(np.bincount(frames, minlength=5))])
+    pixels = np.column_stack([table[:, 2], np.full(len(table), 7.0), table[:, 3], np.full(len(table), 7.0)])
+    return Sequence(
+        name="made up",
+        stamp=np.arange(5.0),
+        inertial_stamp=np.arange(5.0),
+        twist=np.zeros((5, 6)),
+        climb_rate=np.full(5, np.nan),
+        rig=StereoRig(500.0, 500.0, 320.0, 200.0, 0.5, np.eye(4)),
+        offset=offset,
+        track=table[:, 1].astype(np.int64),
+        pixels=pixels,
+        row=np.arange(len(table)),
+    )
+
+
+def test_a_stale_frame_starts_new_landmarks_and_loses_nothing():
+    rows = [
+        (0, 0, 100, 90),
+        (0, 1, 200, 180),
+        (1, 0, 101, 90),
+        (1, 1, 202, 180),
+        (2, 0, 101, 90),
+        (2, 1, 202, 180),
+        (2, 2, 50, 40),
+        (3, 0, 110, 95),
+        (3, 1, 215, 190),
+    ]
+    cut = StaleTracks().apply(made_up(rows))
+    assert cut.observations == len(rows)
+    assert cut.counts == {"stale_frames": 1, "stale_cuts": 2, "lone_repeats": 0}
+    assert cut.track.tolist() == [0, 1, 0, 1, 2, 3, 4, 2, 3]
+
+
+def test_a_lone_repeat_is_no_stale_frame():
+    rows = [(k, j, 100 + 10 * j + (0 if (j, k) == (0, 1) else k), 90) for k in range(3) for j in range(4)]
+    cut = StaleTracks().apply(made_up(rows))
+    assert cut.counts == {"stale_frames": 0, "stale_cuts": 0, "lone_repeats": 1}
+    assert len(np.unique(cut.track)) == 4
+
+
+def test_a_track_never_comes_back():
+    split = Interruptions().apply(made_up([(0, 0, 9, 1), (1, 0, 9, 1), (3, 0, 9, 1)]))
+    assert split.track.tolist() == [0, 0, 1]
+
+
+def test_the_disparity_gate_keeps_what_a_started_track_shows_later():
+    rows = [(0, 0, 10, 9), (1, 0, 10, 6), (2, 0, 10, 9.5), (3, 0, 10, 11)]
+    gated = Disparity(minimum_px=2.0, row_difference_px=1.0).apply(made_up(rows))
+    assert gated.frame_of.tolist() == [1, 2]
+    assert gated.counts["dropped_disparity_not_positive"] == 1
+    assert gated.counts["dropped_too_far_to_start"] == 1
+
+
+@pytest.mark.parametrize(("axes", "good"), [(("x", "-y", "-z"), True), (("x", "y", "-z"), False)])
+def test_only_proper_turns_are_axes(axes, good):
+    if good:
+        assert np.allclose(axes_rotation(axes), np.diag([1.0, -1.0, -1.0]))
+    else:
+        with pytest.raises(ValueError, match="right-handed"):
+            axes_rotation(axes)
+
+
+def test_step_means_average_the_lines_between_samples():
+    sequence = made_up([(0, 0, 9, 1)])
+    ramp = replace(sequence, twist=np.arange(5.0)[:, None] * np.ones(6), clock_offset=0.25)
+    twist, _ = ramp.step_means()
+    # The mean of a straight line over a step is its value at the middle, moved by the offset.
+    assert np.allclose(twist[1:4, 0], [0.75, 1.75, 2.75])
+
+
+def test_planted_stale_frames_are_all_found():
+    config = SimulationConfig(frames=120, stale_probability=0.15, tracks_in_view=30)
+    sequence, _ = simulate(config, seed=5, name="planted")
+    stale, repeats = stale_observations(sequence)
+    clean, _ = simulate(SimulationConfig(frames=120, tracks_in_view=30), seed=5, name="clean")
+    assert 5 < stale.sum() < 40
+    assert repeats.sum() > 10 * stale.sum()
+    assert not stale_observations(clean)[0].any()
+
+
+def test_tracks_on_a_moving_object_are_cut(short: Dataset):
+    sequence = short.sequence
+    moving = np.isin(sequence.track, np.unique(sequence.track)[::9]) & (sequence.age() > 0)
+    pixels = sequence.pixels.copy()
+    pixels[moving, 0] += 6.0 * sequence.age()[moving]
+    pixels[moving, 2] += 6.0 * sequence.age()[moving]
+    residual = np.linalg.norm(step_residuals(replace(sequence, pixels=pixels)), axis=1)
+    assert np.nanmedian(residual[moving]) > 8.0
+    assert np.nanmedian(residual[~moving]) < 2.5
+    untouched = Consensus(threshold=8.0).apply(sequence).counts["inconsistent_cuts"]
+    assert untouched < 0.02 * sequence.observations
+
+
+def test_a_wild_inertial_sample_does_not_stop_the_vote(tmp_path):
+    turned = np.zeros((3, 6))
+    turned[1, 0] = 32.0
+    course_file(tmp_path / "a.npz", angular_velocity=turned)
+    sequence = load_course_npz(tmp_path / "a.npz")
+    assert Consensus().apply(sequence).observations == sequence.observations
+
+
+@pytest.mark.parametrize(("name", "stale", "columns"), [("03.npz", 153, 5105), ("0027.npz", 91, 3950)])
+def test_recorded_files_have_the_stale_frames_that_are_known(name, stale, columns):
+    sequence = StaleTracks().apply(load_course_npz(recorded(name)))
+    assert sequence.counts["feature_columns"] == columns
+    assert sequence.counts["stale_frames"] == stale
+
+
+def test_repairs_bring_back_what_the_simulation_spoilt():
+    faults = SimulationConfig(
+        frames=30,
+        extrinsic_axes=("x", "-y", "-z"),
+        extrinsic_rotation="stored",
+        extrinsic_translation="inverse",
+        stated_baseline=0.7,
+        clock_offset=0.03,
+        disparity_offset_px=0.4,
+    )
+    clean = replace(
+        faults,
+        extrinsic_axes=("x", "y", "z"),
+        extrinsic_translation="stored",
+        stated_baseline=None,
+        disparity_offset_px=0.0,
+    )
+    spoilt, _ = simulate(faults, seed=1, name="spoilt")
+    right, _ = simulate(clean, seed=1, name="right")
+    steps = RepairConfig(
+        axes=Axes(body=("x", "-y", "-z")),
+        extrinsic=Extrinsic(rotation="stored"),
+        baseline=Baseline(metres=0.59418),
+        disparity_offset=DisparityOffset(pixels=0.4),
+        stale_tracks=None,
+        disparity=None,
+        consensus=None,
+        interruptions=None,
+        single_sightings=None,
+    )
+    repaired = apply(spoilt, steps)
+    assert not np.allclose(spoilt.rig.imu_T_cam, right.rig.imu_T_cam)
+    assert np.allclose(repaired.rig.imu_T_cam, right.rig.imu_T_cam)
+    assert repaired.rig.baseline == right.rig.baseline
+    assert np.allclose(repaired.pixels, right.pixels)
+    assert [step.name for step in repaired.repairs if step.applied] == [
+        "extrinsic",
+        "axes",
+        "baseline",
+        "disparity_offset",
+    ]
+
+
+def test_each_step_counts_what_it_did():
+    sequence, _ = simulate(
+        SimulationConfig(frames=60, stale_probability=0.2, outlier_probability=0.05), seed=2, name="s"
+    )
+    done = {step.name: step for step in apply(sequence, RepairConfig()).repairs}
+    assert done["stale_tracks"].counts["stale_cuts"] > 50
+    assert done["disparity"].options == {"minimum_px": 2.5, "row_difference_px": 2.0}
+    assert done["disparity"].counts["dropped_row_difference"] > 50
+    assert not done["axes"].applied
+    assert done["axes"].counts == {}

@@ -1,0 +1,123 @@
+"""Real stereo tracks that come with GTSAM: the first 16 s of KITTI odometry 00, as of its VO example.
+
+They have no inertial data. The twist of each step is made from the poses of a visual odometry that the
+example brings, with white noise added. The tracks, the camera and the noise of the tracks are real.
+"""
+
+import hashlib
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from vislam.data.batch import batch_poses
+from vislam.data.reference import Reference
+from vislam.data.sequence import Sequence, piecewise_constant
+from vislam.data.text import read_table
+from vislam.errors import DataError
+from vislam.geometry import se3
+from vislam.sensors import CAMERA_AXES, StereoRig
+from vislam.types import Array
+
+_PERIOD = 0.1037
+"""Mean camera period of KITTI odometry 00 [s]; the files number the frames and have no stamps."""
+_NAME = "KITTI 00 tracks with made odometry"
+
+
+def load_kitti00(*, gyro_sigma: float, velocity_sigma: float, seed: int) -> tuple[Sequence, Reference]:
+    """Read the tracks, make the odometry, and solve for the reference, which takes seconds.
+
+    There are 135 frames with numbers from 0 to 153; 19 were left out by those who made the files. The body
+    sits in the left camera, x forward, y left, z up.
+
+    Parameters
+    ----------
+    gyro_sigma, velocity_sigma : float
+        White noise of the twist over a camera period [rad/s, m/s]; a step of two periods has less of it.
+    seed : int
+        Seed of that noise.
+
+    Returns
+    -------
+    Sequence
+    Reference
+        Batch solution of all the tracks without any odometry. It is no independent truth.
+
+    Raises
+    ------
+    DataError
+        If the installed GTSAM does not bring the files.
+    """
+    number, world_T_imu = _visual_odometry()
+    sequence = _sequence(number, world_T_imu, np.repeat([gyro_sigma, velocity_sigma], 3), seed=seed)
+    pose = batch_poses(sequence, world_T_imu)
+    reference = Reference(
+        name="batch solution of the same tracks",
+        limits="not independent of the estimates: same tracks",
+        frame=np.arange(len(pose)),
+        position=pose[:, :3, 3],
+        pose=pose,
+        imu_T_point=np.eye(4),
+    )
+    return sequence, reference
+
+
+def _file(name: str) -> Path:
+    found = find_spec("gtsam")
+    folders = [] if found is None else found.submodule_search_locations or []
+    paths = [Path(folder) / "Data" / name for folder in folders]
+    path = next((path for path in paths if path.is_file()), None)
+    if path is None:
+        raise DataError(f"{name}: not among the example data of the installed gtsam; install gtsam 4.3.0")
+    return path
+
+
+def _rig() -> StereoRig:
+    table, _ = read_table(_file("VO_calibration00.txt"), columns=6)
+    fx, fy, _, cx, cy, baseline = (float(number) for number in table[0])
+    mounting = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
+    return StereoRig(fx, fy, cx, cy, baseline, mounting)
+
+
+def _visual_odometry() -> tuple[Array, Array]:
+    """Numbers of the frames ``(T,)`` and poses ``(T, 4, 4)`` of the body, from the first one."""
+    table, _ = read_table(_file("VO_camera_poses00.txt"), columns=17)
+    matrix = table[:, 1:].reshape(-1, 4, 4)
+    # Six digits are printed; the nearest rotation is taken.
+    u, _, vt = np.linalg.svd(matrix[:, :3, :3])
+    first_T_cam = se3.from_rotation_translation(u @ vt, matrix[:, :3, 3])
+    imu_T_cam = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
+    return table[:, 0], imu_T_cam @ first_T_cam @ se3.inverse(imu_T_cam)
+
+
+def _sequence(number: Array, world_T_imu: Array, sigma: Array, *, seed: int) -> Sequence:
+    table, _ = read_table(_file("VO_stereo_factors00.txt"), columns=8)
+    frame = np.searchsorted(number, table[:, 0])
+    order = np.lexsort((table[:, 1], frame))
+    frame, table = frame[order], table[order]
+    _, track = np.unique(table[:, 1], return_inverse=True)
+    row_of_both = table[:, 4]
+    stamp = _PERIOD * number
+    dt = np.diff(stamp)[:, None]
+    motion = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / dt
+    noise = sigma * np.sqrt(_PERIOD / dt) * np.random.default_rng(seed).standard_normal(motion.shape)
+    inertial_stamp, twist = piecewise_constant(stamp, motion + noise)
+    pixels = np.column_stack([table[:, 2], row_of_both, table[:, 3], row_of_both])
+    return Sequence(
+        name=_NAME,
+        stamp=stamp,
+        inertial_stamp=inertial_stamp,
+        twist=twist,
+        climb_rate=np.full(len(inertial_stamp), np.nan),
+        rig=_rig(),
+        offset=np.searchsorted(frame, np.arange(len(stamp) + 1)),
+        track=track,
+        pixels=pixels,
+        row=np.arange(len(track)),
+        digest=hashlib.sha256(pixels.tobytes() + twist.tobytes()).hexdigest(),
+        counts={
+            "frames": len(stamp),
+            "feature_columns": int(track.max()) + 1,
+            "observations_read": len(track),
+        },
+    )
