@@ -166,6 +166,14 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     ConfigError
         If the file cannot be read, a key is unknown or a value is out of range.
     """
+    tree = read(path)
+    for dotted, value in (overrides or {}).items():
+        put(tree, dotted, value)
+    return parse(Config, tree)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a configuration file as plain data; a ConfigError says what is wrong with it."""
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -175,9 +183,7 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
         raise ConfigError(f"{path}: not a YAML file ({line})") from None
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
-    for dotted, value in (overrides or {}).items():
-        _set(tree, dotted, value)
-    return parse(Config, tree)
+    return tree
 
 
 def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
@@ -225,10 +231,19 @@ def _section(annotation: Any) -> Any:
     return next((found for part in get_args(annotation) if (found := _section(part)) is not None), None)
 
 
-def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
+def inline(value: Any) -> str:
+    """One line of YAML."""
+    return yaml.safe_dump(_plain(value), default_flow_style=True).splitlines()[0]
+
+
+def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
+    """Set a value of a tree of plain data by its dotted path."""
     *parents, last = dotted.split(".")
     for part in parents:
-        tree = tree.setdefault(part, {})
+        if tree.get(part) is None or tree[part] is True:
+            # A section that is left empty, or a step that is switched on with its defaults.
+            tree[part] = {}
+        tree = tree[part]
         if not isinstance(tree, dict):
             raise ConfigError(f"{dotted}: '{part}' is a value and has no keys below it")
     tree[last] = value

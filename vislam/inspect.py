@@ -1,0 +1,90 @@
+"""``python -m vislam.inspect``: what is wrong with a recording, from the data alone, and what answers it.
+
+Exit codes: 0 done, whatever was found; 2 bad config or data. With ``--strict`` a fault is exit code 3.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from vislam.command import add_config_options, answer, overrides
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    return answer(lambda: _inspect(options), verbose=options.verbose)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m vislam.inspect", description=__doc__)
+    add_config_options(parser, required=False)
+    add = parser.add_argument
+    add("--file", type=Path, help="a course file (.npz) in place of a config")
+    add("--out", type=Path, default=Path("inspection"), help="folder of the results (default: inspection)")
+    add("--write-config", type=Path, metavar="FILE", help="write the config with all that is proposed")
+    add("--strict", action="store_true", help="exit with 3 if a fault was found")
+    return parser
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
+    from vislam import config as configuration  # noqa: PLC0415
+    from vislam.data.source import open_dataset  # noqa: PLC0415
+    from vislam.errors import ConfigError, DataError  # noqa: PLC0415
+    from vislam.files import replace_whole  # noqa: PLC0415
+    from vislam.inspection import inspect_sequence  # noqa: PLC0415
+    from vislam.inspection.checks import unrepaired  # noqa: PLC0415
+    from vislam.report.inspection import write_inspection  # noqa: PLC0415
+    from vislam.terminal import Terminal  # noqa: PLC0415
+
+    if (options.config is None) == (options.file is None):
+        raise ConfigError("one of --config and --file must be given")
+    if options.file is not None and not options.file.is_file():
+        raise DataError(f"{options.file}: no such file")
+    tree = configuration.read(options.config) if options.config else _tree(options.file)
+    for dotted, value in overrides(options).items():
+        configuration.put(tree, dotted, value)
+    config = configuration.parse(configuration.Config, tree)
+    terminal = Terminal()
+    dataset = open_dataset(
+        unrepaired(config).data,
+        seed=config.seed,
+        data_dir=options.data_dir if options.file is None else options.file.resolve().parent,
+        allow_stand_in=not options.no_stand_in,
+    )
+    if dataset.sequence.stand_in:
+        terminal.note(dataset.notes[0])
+    if dataset.sequence.observations == 0:
+        raise DataError(f"{dataset.sequence.name}: no stereo observation is in it")
+    result = inspect_sequence(dataset.sequence, config)
+    for finding in result.findings:
+        terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
+    try:
+        write_inspection(options.out, result, stand_in=dataset.sequence.stand_in)
+    except OSError as error:
+        raise DataError(f"{options.out}: results cannot be written there ({error.strerror})") from None
+    terminal.note(f"written: {options.out / 'inspection.json'} and figures")
+    if result.proposal:
+        terminal.note("proposed:")
+        for dotted, value in result.proposal.items():
+            terminal.note(f"  {dotted}: {configuration.inline(value)}")
+            configuration.put(tree, dotted, value)
+    if options.write_config is not None:
+        written = configuration.dump(configuration.parse(configuration.Config, tree))
+        with replace_whole(options.write_config) as temporary:
+            temporary.write_text(written, encoding="utf-8")
+        terminal.note(f"config: {options.write_config}")
+    return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
+
+
+def _tree(file: Path) -> dict[str, Any]:
+    """Config of a bare file: nothing repaired, so that every trap is found."""
+    nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
+    return {"name": file.stem, "data": {"file": file.name, "repair": nothing}}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

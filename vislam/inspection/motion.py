@@ -1,0 +1,205 @@
+"""Inertial data against the camera's own frame-to-frame motion: clock, biases, noise, third component."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vislam.data.sequence import Sequence
+from vislam.geometry import se3
+from vislam.inspection.finding import Finding, Measured, robust_mean, robust_sigma
+from vislam.repair import RepairConfig
+from vislam.types import Array, IntArray
+from vislam.vision import RigidFit
+
+_AXES = "xyz"
+_LAGS_S = np.arange(-0.2, 0.2001, 0.005)
+_BLOCKS = 12
+_CLOCK_FAULT_S = 0.015
+_CLOCK_UNCLEAR_S = 0.02
+_CLOCK_FLOOR_S = 0.004
+"""Two ways of choosing the tracks move the clock by about so much."""
+_RELIABLE = 0.3
+"""Share of the variance of a sample that must be motion, not noise, to say what the sample means."""
+_FOURTH_DIFFERENCE = np.sqrt(70.0)
+"""Standard deviation of a fourth difference of white noise of variance 1."""
+
+
+@dataclass(frozen=True)
+class VisionSteps:
+    """Motion of the body as the camera sees it, for the frames where it does.
+
+    Attributes
+    ----------
+    frame : (m,)
+    twist : (m, 6)
+        Mean twist over the step that ends there [rad/s, m/s].
+    sigma : (m, 6)
+        Its standard deviation by the fit.
+    """
+
+    frame: IntArray
+    twist: Array
+    sigma: Array
+
+
+def vision_steps(sequence: Sequence, fits: dict[int, RigidFit]) -> VisionSteps:
+    """Body twists of the rigid fits, by the sequence's mounting."""
+    frame = np.array(sorted(fits), dtype=np.int64)
+    rig = sequence.rig
+    motion = np.array([fits[k].next_T_prev for k in frame]).reshape(-1, 4, 4)
+    cov = np.array([fits[k].cov for k in frame]).reshape(-1, 6, 6)
+    dt = np.diff(sequence.stamp, prepend=np.nan)[frame]
+    step = rig.imu_T_cam @ se3.inverse(motion) @ rig.cam_T_imu
+    adjoint = se3.adjoint(rig.imu_T_cam)
+    variance = np.diagonal(adjoint @ cov @ adjoint.T, axis1=1, axis2=2)
+    return VisionSteps(frame, se3.log(step) / dt[:, None], np.sqrt(variance) / dt[:, None])
+
+
+def check_clock(
+    sequence: Sequence, steps: VisionSteps, repair: RepairConfig
+) -> tuple[Finding, dict[str, Array]]:
+    """Offset of the inertial stamps at which the rates of turn of both go together best.
+
+    Their covariance is compared, not their difference: the noise of a mean over a step depends on how the
+    step lies to the samples, and would draw the difference towards whole periods.
+    """
+    rate = np.clip(steps.twist[:, :3], *np.quantile(steps.twist[:, :3], [0.01, 0.99], axis=0))
+    rate = rate - rate.mean(axis=0)
+    # One scale for all lags: a scale of each lag's own would bring the noise back in.
+    scale = rate.std(axis=0) ** 2
+    products = []
+    for lag in _LAGS_S:
+        means, _ = replace(sequence, clock_offset=float(lag)).step_means()
+        turn = means[steps.frame, :3]
+        products.append((rate * (turn - turn.mean(axis=0)) / scale).sum(axis=1))
+    covariance = np.array(products)
+    blocks = [part for part in np.array_split(np.arange(len(rate)), _BLOCKS) if len(part)]
+    whole = _highest(covariance.mean(axis=1))
+    # Leaving out a block at a time tells how much one part of the drive decides (jackknife).
+    left_out = np.array([_highest(np.delete(covariance, part, axis=1).mean(axis=1)) for part in blocks])
+    error = float(np.sqrt((len(blocks) - 1) * np.mean((left_out - left_out.mean()) ** 2)))
+    error = float(np.hypot(error, _CLOCK_FLOOR_S))
+    measured = Measured("clock offset", "s", whole, whole - 1.96 * error, whole + 1.96 * error)
+    series = {"clock_lag": _LAGS_S, "clock_covariance": covariance.mean(axis=1)}
+    now = 0.0 if repair.clock is None else repair.clock.offset
+    if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
+        text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
+        return Finding("clock", "unclear", text, (measured,)), series
+    off = abs(whole - now)
+    if off > _CLOCK_FAULT_S and off > 4.0 * error:
+        text = f"the inertial stamps are late by {measured}, configured is {now:g} s"
+        proposal = {"data.repair.clock": {"offset": round(whole, 3)}}
+        return Finding("clock", "fault", text, (measured,), proposal=proposal), series
+    return Finding("clock", "ok", f"{measured}, configured is {now:g} s", (measured,)), series
+
+
+def _highest(curve: Array) -> float:
+    """Lag of the highest value, by the parabola through the points around it."""
+    at = int(np.argmax(curve))
+    near = slice(max(0, at - 6), min(len(curve), at + 7))
+    bend, slope, _ = np.polyfit(_LAGS_S[near] - _LAGS_S[at], curve[near], 2)
+    shift = 0.0 if bend >= 0 else -slope / (2.0 * bend)
+    return float(_LAGS_S[at] + np.clip(shift, -0.03, 0.03))
+
+
+def check_biases(sequence: Sequence, steps: VisionSteps, *, bias_sigma: tuple[float, ...]) -> Finding:
+    """Bias of the gyro and of the velocity across the direction of travel."""
+    means, _ = sequence.step_means()
+    difference = means[steps.frame] - steps.twist
+    gyro = [robust_mean(difference[:, i], name=f"gyro bias {_AXES[i]}", unit="rad/s") for i in range(3)]
+    velocity = [
+        robust_mean(difference[:, 3 + i], name=f"velocity bias {_AXES[i]}", unit="m/s") for i in range(3)
+    ]
+    measured = (*gyro, *velocity)
+    text = "; ".join(str(item) for item in measured)
+    beyond = [
+        item.name
+        for item, prior in zip(gyro, bias_sigma, strict=False)
+        if abs(item.value) - 1.96 * item.sigma > 2.0 * prior
+    ]
+    if beyond:
+        wanted = [
+            float(np.round(max(prior, 1.5 * abs(item.value)), 5))
+            for item, prior in zip(gyro, bias_sigma, strict=False)
+        ]
+        text = f"{', '.join(beyond)} beyond twice the configured prior: {text}"
+        proposal = {"noise.bias_sigma": [*wanted, *bias_sigma[3:]]}
+        return Finding("biases", "fault", text, measured, proposal=proposal)
+    return Finding("biases", "ok", f"within the configured prior: {text}", measured)
+
+
+def check_inertial_noise(sequence: Sequence, *, density: tuple[float, ...]) -> Finding:
+    """White noise of the inertial samples at most: their fourth differences, free of a smooth drive."""
+    period = float(np.median(np.diff(sequence.inertial_stamp)))
+    fourth = np.diff(sequence.twist, n=4, axis=0) / _FOURTH_DIFFERENCE * np.sqrt(period)
+    names = [f"gyro density {a}" for a in _AXES] + [f"velocity density {a}" for a in _AXES]
+    units = ["rad/sqrt(s)"] * 3 + ["m/sqrt(s)"] * 3
+    measured = tuple(robust_sigma(fourth[:, i], name=names[i], unit=units[i]) for i in range(6))
+    known = [i for i in range(6) if measured[i].value > 0.0]
+    text = "at most " + "; ".join(str(measured[i]) for i in known)
+    wrong = [i for i in known if density[i] > 5.0 * measured[i].value and i in (0, 1, 2, 3)]
+    low = [i for i in known if density[i] < measured[i].value / 10.0 and i in (0, 1, 2, 3)]
+    if wrong or low:
+        listed = ", ".join(f"{names[i]} is configured as {density[i]:g}" for i in (*wrong, *low))
+        values = [float(f"{measured[i].value:.2g}") if i in (*wrong, *low) else density[i] for i in range(6)]
+        proposal = {"noise.twist_density": values}
+        return Finding("inertial noise", "fault", f"{listed}, but {text}", measured, proposal=proposal)
+    return Finding("inertial noise", "ok", text, measured)
+
+
+def check_third_component(
+    sequence: Sequence, steps: VisionSteps, repair: RepairConfig
+) -> tuple[Finding, dict[str, Array]]:
+    """Whether the third velocity component is the body's own, as the camera sees it, or the climb rate.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        The third component as recorded.
+    """
+    means, _ = sequence.step_means()
+    recorded, seen = means[steps.frame, 5], steps.twist[:, 5]
+    noise = robust_sigma(np.diff(sequence.twist[:, 5], n=4) / _FOURTH_DIFFERENCE, name="", unit="").value
+    # A step averages two samples or more, which halves the variance of their noise.
+    variance = float(np.var(recorded))
+    reliable = max(0.0, 1.0 - 0.5 * noise**2 / variance) if variance > 0 else 0.0
+    slope = _slope(recorded, seen, forward=means[steps.frame, 3], reliable=reliable)
+    climbed = np.trapezoid(sequence.twist[:, 5], sequence.inertial_stamp)
+    series = {"third_recorded": recorded, "third_seen": seen}
+    told = f"the camera sees {slope} of the third velocity component in the body's own z"
+    counts = {"climb_m": float(climbed), "reliable_share": reliable}
+    levelled = repair.levelled_velocity is not None
+    if reliable < _RELIABLE or slope.sigma > 0.2:
+        text = f"cannot tell body from levelled velocity: {100 * (1 - reliable):.0f} % of it is noise, {told}"
+        return Finding("third velocity component", "unclear", text, (slope,), counts), series
+    if slope.value < 0.5:
+        text = f"{told}: it is the climb rate, its integral gives {climbed:+.1f} m of height"
+        if levelled:
+            return Finding("third velocity component", "ok", text, (slope,), counts), series
+        proposal = {"data.repair.levelled_velocity": True}
+        return Finding("third velocity component", "fault", text, (slope,), counts, proposal), series
+    text = f"{told}: it is the body's own"
+    if not levelled:
+        return Finding("third velocity component", "ok", text, (slope,), counts), series
+    proposal = {"data.repair.levelled_velocity": False}
+    return Finding("third velocity component", "fault", text, (slope,), counts, proposal), series
+
+
+def _slope(recorded: Array, seen: Array, *, forward: Array, reliable: float) -> Measured:
+    """Share of the recorded component that is seen, misalignment with the direction of travel taken out."""
+    parts = np.array_split(np.arange(len(recorded)), _BLOCKS)
+
+    def fit(rows: IntArray) -> float:
+        columns = np.column_stack([recorded[rows], forward[rows], np.ones(len(rows))])
+        weight = np.ones(len(rows))
+        for _ in range(10):
+            solution = np.linalg.lstsq(columns * weight[:, None], seen[rows] * weight, rcond=None)[0]
+            residual = np.abs(seen[rows] - columns @ solution)
+            weight = 1.0 / np.sqrt(np.maximum(residual, 1e-3 + 1.5 * np.median(residual)))
+        return float(solution[0]) / max(reliable, 0.05)
+
+    everything = np.arange(len(recorded))
+    whole = fit(everything)
+    left_out = np.array([fit(np.setdiff1d(everything, part)) for part in parts if len(part)])
+    error = float(np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean()) ** 2)))
+    return Measured("share", "", whole, whole - 1.96 * error, whole + 1.96 * error)

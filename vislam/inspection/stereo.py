@@ -1,0 +1,150 @@
+"""Disparity and scale: the camera's way against the inertial one, track by track, near and far.
+
+Between two frames each track tells, by its flow and its depth, how far the camera went. A wrong baseline
+makes that wrong by one factor for all; an offset o of the disparities d makes it ``1 - o / d``, wrong for the
+far ones.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.data.sequence import Sequence
+from vislam.inspection.finding import Finding, Measured
+from vislam.repair import RepairConfig
+from vislam.types import Array
+from vislam.vision import Continuations, RigidFit, predicted_steps
+
+_SHORTEST_M = 0.2
+"""A step below this says nothing about scale."""
+_SMALLEST_FLOW_PX = 2.0
+_EDGES_PX = np.array([2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, 80.0])
+_FEWEST = 40
+_BLOCKS = 12
+_OUTLIER = 6.0
+_SCALE_FAULT = 0.006
+_OFFSET_FAULT_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Ways:
+    """What each continuing track says of the way of its step.
+
+    Attributes
+    ----------
+    frame : (m,)
+    disparity : (m,)
+        Measured at the start of the step [px].
+    ratio : (m,)
+        Way by the track over the way by the inertial data.
+    """
+
+    frame: Array
+    disparity: Array
+    ratio: Array
+
+
+def ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) -> Ways:
+    """Ratios of all tracks whose flow tells one: turn and direction are those of the robust fit."""
+    z, rig = sequence.z, sequence.rig
+    points = rig.back_project(z)
+    predicted = predicted_steps(sequence)
+    found = []
+    for k, fit in fits.items():
+        direction = fit.next_T_prev[:3, 3] / max(float(np.linalg.norm(fit.next_T_prev[:3, 3])), 1e-9)
+        # Only what of the inertial step lies along the seen one: noise across it would lengthen it.
+        step = float(predicted[k][:3, 3] @ direction) * direction
+        if np.linalg.norm(step) < _SHORTEST_M:
+            continue
+        good = np.linalg.norm(fit.residual, axis=1) < _OUTLIER
+        before = pairs.before[pairs.start[k] : pairs.start[k + 1]][good]
+        after = pairs.after[pairs.start[k] : pairs.start[k + 1]][good]
+        turned = points[before] @ fit.next_T_prev[:3, :3].T
+        ratio = np.ones(len(before))
+        for _ in range(4):
+            moved = turned + ratio[:, None] * step
+            moved[:, 2] = np.maximum(moved[:, 2], 0.5)
+            flow = (rig.projection_jacobian(moved) @ step)[:, [0, 2]]
+            residual = (z[after] - rig.project(moved))[:, [0, 2]]
+            square = np.maximum((flow**2).sum(axis=1), 1e-9)
+            ratio = ratio + np.clip((flow * residual).sum(axis=1) / square, -0.5, 0.5)
+        tells = np.sqrt(square) > _SMALLEST_FLOW_PX
+        found.append(np.column_stack([np.full(len(before), k), z[before, 0] - z[before, 1], ratio])[tells])
+    table = np.concatenate(found) if found else np.empty((0, 3))
+    return Ways(table[:, 0], table[:, 1], table[:, 2])
+
+
+def check_stereo(
+    sequence: Sequence, seen: Ways, repair: RepairConfig
+) -> tuple[list[Finding], dict[str, Array]]:
+    """Baseline and disparity offset at which near and far tracks agree with the inertial way."""
+    whole, centres, medians = _fit(seen.disparity, seen.ratio)
+    series = {"way_disparity": centres, "way_ratio": medians}
+    if whole is None:
+        text = "too few tracks with flow and depth to tell scale and offset"
+        return [
+            Finding("stereo scale", "unclear", text),
+            Finding("disparity offset", "unclear", text),
+        ], series
+    edges = np.quantile(seen.frame, np.linspace(0.0, 1.0, _BLOCKS + 1))
+    parts = np.clip(np.searchsorted(edges, seen.frame, side="right") - 1, 0, _BLOCKS - 1)
+    left_out = np.array(
+        [
+            fit
+            for part in range(_BLOCKS)
+            if (fit := _fit(seen.disparity[parts != part], seen.ratio[parts != part])[0]) is not None
+        ]
+    )
+    error = np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    scale, offset = (
+        Measured(name, unit, float(value), float(value - 1.96 * one), float(value + 1.96 * one))
+        for name, unit, value, one in zip(
+            ("camera's way over inertial way", "disparity offset"), ("", "px"), whole, error, strict=True
+        )
+    )
+    return [_scale_finding(sequence, scale), _offset_finding(offset, repair)], series
+
+
+def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
+    baseline = sequence.rig.baseline
+    fitting = Measured("baseline", "m", baseline / scale.value, baseline / scale.high, baseline / scale.low)
+    text = f"{scale} for near tracks; they would agree with {fitting}, the rig has {baseline:.5f} m"
+    off = abs(scale.value - 1.0)
+    if off > _SCALE_FAULT and off > 4.0 * scale.sigma:
+        text = f"the camera's way is {100 * (scale.value - 1):+.1f} % off: {text}; look up the calibration"
+        proposal = {"data.repair.baseline": {"metres": float(f"{fitting.value:.4g}")}}
+        return Finding("stereo scale", "fault", text, (scale, fitting), proposal=proposal)
+    return Finding("stereo scale", "ok", text, (scale, fitting))
+
+
+def _offset_finding(offset: Measured, repair: RepairConfig) -> Finding:
+    applied = 0.0 if repair.disparity_offset is None else repair.disparity_offset.pixels
+    if abs(offset.value) > _OFFSET_FAULT_PX and abs(offset.value) > 4.0 * offset.sigma:
+        side = "large" if offset.value > 0 else "small"
+        where = "near" if offset.value > 0 else "far"
+        text = f"disparities are too {side}, far points come out too {where}: {offset}"
+        proposal = {"data.repair.disparity_offset": {"pixels": round(applied + offset.value, 2)}}
+        return Finding("disparity offset", "fault", text, (offset,), proposal=proposal)
+    return Finding("disparity offset", "ok", str(offset), (offset,))
+
+
+def _fit(disparity: Array, ratio: Array) -> tuple[Array | None, Array, Array]:
+    """Scale and offset from the medians of disparity bins, and these medians."""
+    rows = []
+    for low, high in itertools.pairwise(_EDGES_PX):
+        inside = (disparity >= low) & (disparity < high)
+        count = int(np.count_nonzero(inside))
+        if count < _FEWEST:
+            continue
+        middle = float(np.median(ratio[inside]))
+        spread = 1.4826 * float(np.median(np.abs(ratio[inside] - middle)))
+        rows.append([float(np.median(disparity[inside])), middle, spread / np.sqrt(count)])
+    table = np.array(rows).reshape(-1, 3)
+    if len(table) < 3:
+        return None, table[:, 0], table[:, 1]
+    # A floor keeps a bin of thousands from deciding alone: its systematic error does not fall with its size.
+    weight = 1.0 / np.hypot(table[:, 2], 0.003)
+    columns = np.column_stack([np.ones(len(table)), -1.0 / table[:, 0]])
+    solution = np.linalg.lstsq(columns * weight[:, None], table[:, 1] * weight, rcond=None)[0]
+    return np.array([solution[0], solution[1] / solution[0]]), table[:, 0], table[:, 1]

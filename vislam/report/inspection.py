@@ -1,0 +1,108 @@
+"""What an inspection leaves behind: ``inspection.json`` and its figures."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from vislam.files import replace_whole
+from vislam.inspection import Inspection
+from vislam.types import Array
+
+SCHEMA_VERSION = 1
+_NAMES = ("rate x [rad/s]", "rate y [rad/s]", "rate z [rad/s]", "forward [m/s]", "left [m/s]", "third [m/s]")
+
+
+def write_inspection(folder: Path, result: Inspection, *, stand_in: bool) -> None:
+    """Write the findings and the figures, each file whole or not at all."""
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "name": result.name,
+        "stand_in": stand_in,
+        "findings": [_finite(asdict(finding)) for finding in result.findings],
+        "proposal": result.proposal,
+    }
+    with replace_whole(folder / "inspection.json") as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    mark = " [SIMULATED]" if stand_in else ""
+    for name, figure in figures(result, title=f"{result.name}{mark}").items():
+        with replace_whole(folder / f"{name}.png") as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+
+
+def figures(result: Inspection, *, title: str) -> dict[str, Figure]:
+    """Figures by name: readings of the mounting, tracks, clock, motion, stereo, pixel noise."""
+    series = result.series
+    drawn = {"tracks": _tracks(series)}
+    if "step_seen" in series:
+        drawn |= {"motion": _motion(series), "checks": _checks(series)}
+    for figure in drawn.values():
+        figure.suptitle(title)
+    return drawn
+
+
+def _tracks(series: dict[str, Array]) -> Figure:
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    above, below = figure.subplots(2)
+    above.plot(series["tracks_in_view"], linewidth=0.8, label="tracks in view")
+    above.plot(
+        series["stale_frames"], np.zeros(len(series["stale_frames"])), "|", color="C3", label="stale frames"
+    )
+    above.set(xlabel="frame", ylabel="tracks")
+    above.legend()
+    length = series["track_length"]
+    below.hist(length, bins=np.arange(1, max(length.max(initial=1), 2) + 2) - 0.5)
+    below.set(xlabel="length of a track, stale tracks cut [frames]", ylabel="tracks", yscale="log")
+    return figure
+
+
+def _motion(series: dict[str, Array]) -> Figure:
+    figure = Figure(figsize=(9, 11), layout="constrained")
+    for index, axes in enumerate(figure.subplots(6, sharex=True)):
+        axes.plot(
+            series["step_time"], series["step_seen"][:, index], ".", markersize=2, color="C1", label="camera"
+        )
+        axes.plot(
+            series["step_time"],
+            series["step_inertial"][:, index],
+            linewidth=0.8,
+            color="C0",
+            label="inertial",
+        )
+        low, high = np.quantile(series["step_seen"][:, index], [0.005, 0.995])
+        axes.set(
+            ylabel=_NAMES[index], ylim=(low - 0.1 * (high - low) - 1e-3, high + 0.1 * (high - low) + 1e-3)
+        )
+    axes.set_xlabel("time [s]")
+    figure.axes[0].legend()
+    return figure
+
+
+def _checks(series: dict[str, Array]) -> Figure:
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    (readings, clock), (ways, pixel) = figure.subplots(2, 2)
+    readings.plot(
+        np.arange(1, len(series["mounting_score"]) + 1), series["mounting_score"], "o-", markersize=3
+    )
+    readings.set(xlabel="reading of axes and extrinsic, by rank", ylabel="one-frame error [px]")
+    clock.plot(series["clock_lag"], series["clock_covariance"])
+    clock.set(xlabel="clock offset [s]", ylabel="covariance of the rates of turn")
+    ways.plot(series["way_disparity"], series["way_ratio"], "o-")
+    ways.axhline(1.0, color="0.6", linewidth=0.8)
+    ways.set(xlabel="disparity [px]", ylabel="camera's way over inertial way", xscale="log")
+    pixel.plot(series["pixel_span"], series["pixel_sigma"], "o-")
+    pixel.set(xlabel="frames between two sightings", ylabel="row error [px]")
+    return figure
+
+
+def _finite(value: object) -> object:
+    """Plain data for JSON: numbers that are none become null."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
