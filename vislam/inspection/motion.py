@@ -58,29 +58,22 @@ def vision_steps(sequence: Sequence, fits: dict[int, RigidFit]) -> VisionSteps:
 def check_clock(
     sequence: Sequence, steps: VisionSteps, repair: RepairConfig
 ) -> tuple[Finding, dict[str, Array]]:
-    """Offset of the inertial stamps at which the rates of turn of both go together best.
+    """Offset of the inertial stamps at which turns and changes of speed of both agree best.
 
-    Their covariance is compared, not their difference: the noise of a mean over a step depends on how the
-    step lies to the samples, and would draw the difference towards whole periods.
+    The noise of a mean over a step depends on how the step lies to the samples: two halves of one sample each
+    average it better than one whole. Uncorrected, that draws the offset towards whole periods.
     """
-    rate = np.clip(steps.twist[:, :3], *np.quantile(steps.twist[:, :3], [0.01, 0.99], axis=0))
-    rate = rate - rate.mean(axis=0)
-    # One scale for all lags: a scale of each lag's own would bring the noise back in.
-    scale = rate.std(axis=0) ** 2
-    products = []
-    for lag in _LAGS_S:
-        means, _ = replace(sequence, clock_offset=float(lag)).step_means()
-        turn = means[steps.frame, :3]
-        products.append((rate * (turn - turn.mean(axis=0)) / scale).sum(axis=1))
-    covariance = np.array(products)
-    blocks = [part for part in np.array_split(np.arange(len(rate)), _BLOCKS) if len(part)]
-    whole = _highest(covariance.mean(axis=1))
+    period = float(np.median(np.diff(sequence.inertial_stamp)))
+    noise = np.array([_sample_noise(sequence.twist[:, i]) for i in range(4)])
+    cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in _LAGS_S])
+    blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
+    whole = _lowest(cost.mean(axis=1))
     # Leaving out a block at a time tells how much one part of the drive decides (jackknife).
-    left_out = np.array([_highest(np.delete(covariance, part, axis=1).mean(axis=1)) for part in blocks])
+    left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
     error = float(np.sqrt((len(blocks) - 1) * np.mean((left_out - left_out.mean()) ** 2)))
     error = float(np.hypot(error, _CLOCK_FLOOR_S))
     measured = Measured("clock offset", "s", whole, whole - 1.96 * error, whole + 1.96 * error)
-    series = {"clock_lag": _LAGS_S, "clock_covariance": covariance.mean(axis=1)}
+    series = {"clock_lag": _LAGS_S, "clock_cost": cost.mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
         text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
@@ -93,12 +86,32 @@ def check_clock(
     return Finding("clock", "ok", f"{measured}, configured is {now:g} s", (measured,)), series
 
 
-def _highest(curve: Array) -> float:
-    """Lag of the highest value, by the parabola through the points around it."""
-    at = int(np.argmax(curve))
+def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Array, period: float) -> Array:
+    """Square ``(m,)`` of each step's mismatch at a lag, over its scale, less what the samples' noise adds."""
+    means, _ = replace(sequence, clock_offset=lag).step_means()
+    residual = (steps.twist - means[steps.frame])[:, :4]
+    residual = residual - np.median(residual, axis=0)
+    scale = np.maximum(1.4826 * np.median(np.abs(residual), axis=0), 1e-9)
+    residual = np.clip(residual, -4.0 * scale, 4.0 * scale)
+    # Weights of three samples in the mean over a step that begins a fraction behind the first of them.
+    fraction = (lag / period) % 1.0
+    weights = np.array([0.5 * (1.0 - fraction) ** 2, 0.5 + fraction - fraction**2, 0.5 * fraction**2])
+    added = noise**2 * (weights @ weights)
+    spread = np.maximum(steps.sigma[:, :4].mean(axis=0) ** 2 + 0.5 * noise**2, 1e-12)
+    return np.asarray(((residual**2 - added) / spread).sum(axis=1))
+
+
+def _sample_noise(values: Array) -> float:
+    """Standard deviation of white noise in samples of a smooth motion."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, n=4)))) / float(_FOURTH_DIFFERENCE)
+
+
+def _lowest(curve: Array) -> float:
+    """Lag of the lowest value, by the parabola through the points around it."""
+    at = int(np.argmin(curve))
     near = slice(max(0, at - 6), min(len(curve), at + 7))
     bend, slope, _ = np.polyfit(_LAGS_S[near] - _LAGS_S[at], curve[near], 2)
-    shift = 0.0 if bend >= 0 else -slope / (2.0 * bend)
+    shift = 0.0 if bend <= 0 else -slope / (2.0 * bend)
     return float(_LAGS_S[at] + np.clip(shift, -0.03, 0.03))
 
 
@@ -138,7 +151,7 @@ def check_inertial_noise(sequence: Sequence, *, density: tuple[float, ...]) -> F
     known = [i for i in range(6) if measured[i].value > 0.0]
     text = "at most " + "; ".join(str(measured[i]) for i in known)
     wrong = [i for i in known if density[i] > 5.0 * measured[i].value and i in (0, 1, 2, 3)]
-    low = [i for i in known if density[i] < measured[i].value / 10.0 and i in (0, 1, 2, 3)]
+    low = [i for i in known if density[i] < measured[i].value / 5.0 and i in (0, 1, 2, 3)]
     if wrong or low:
         listed = ", ".join(f"{names[i]} is configured as {density[i]:g}" for i in (*wrong, *low))
         values = [float(f"{measured[i].value:.2g}") if i in (*wrong, *low) else density[i] for i in range(6)]
@@ -159,7 +172,7 @@ def check_third_component(
     """
     means, _ = sequence.step_means()
     recorded, seen = means[steps.frame, 5], steps.twist[:, 5]
-    noise = robust_sigma(np.diff(sequence.twist[:, 5], n=4) / _FOURTH_DIFFERENCE, name="", unit="").value
+    noise = _sample_noise(sequence.twist[:, 5])
     # A step averages two samples or more, which halves the variance of their noise.
     variance = float(np.var(recorded))
     reliable = max(0.0, 1.0 - 0.5 * noise**2 / variance) if variance > 0 else 0.0

@@ -20,6 +20,8 @@ _CLEARLY = 3.5
 _NEAREST = 1.0
 _SMALLEST_DISPARITY = 3.0
 _WORST_PX = 50.0
+_FEWEST = 4
+"""Fewest pairs that make a frame's median."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,13 @@ def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, C
     """
     everyone = candidates()
     own = configured(repair)
-    errors = np.array([_frame_errors(sequence, candidate) for candidate in everyone])
-    usable = np.all(np.isfinite(errors), axis=0)
-    errors = errors[:, usable]
-    score = np.median(errors, axis=1) if usable.any() else np.zeros(len(everyone))
+    sample = _Sample(sequence)
+    errors = np.array([sample.frame_errors(candidate) for candidate in everyone])
+    errors = errors[:, np.all(np.isfinite(errors), axis=0)]
+    if errors.shape[1] < 2 * _BLOCK:
+        text = f"only {errors.shape[1]} frames have tracks enough to tell"
+        return Finding("axes and extrinsic", "unclear", text), own, {"mounting_score": np.empty(0)}
+    score = np.median(errors, axis=1)
     ranking = np.argsort(score, kind="stable")
     best = _simplest_of_the_best(everyone, errors, own)
     rank = [f"{everyone[index]}: {score[index]:.2f} px" for index in ranking[:5]]
@@ -129,8 +134,6 @@ def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, C
 
 def _simplest_of_the_best(everyone: list[Candidate], errors: Array, own: Candidate) -> Candidate:
     """Configured reading, or the simplest of those that no other clearly beats."""
-    if errors.shape[1] < 2 * _BLOCK:
-        return own
     logarithm = np.log(np.maximum(errors, 0.05))
     leader = int(np.argmin(logarithm.mean(axis=1)))
     rivals = [
@@ -153,27 +156,35 @@ def _clearly_better(one: Array, other: Array) -> bool:
     return bool(blocks.mean() > _CLEARLY * error + 1e-12)
 
 
-def _frame_errors(sequence: Sequence, candidate: Candidate) -> Array:
-    """Median error ``(T,)`` [px] of each frame predicted from the one before; NaN without tracks."""
-    sample = mounted(sequence, candidate)
-    pairs = continuations(sample)
-    z = sample.z
-    near = z[pairs.before, 0] - z[pairs.before, 1] > _SMALLEST_DISPARITY
-    stride = max(1, len(pairs.before) // _PAIRS)
-    chosen = np.flatnonzero(near)[::stride]
-    before, after = pairs.before[chosen], pairs.after[chosen]
-    frame = sample.frame_of[after]
-    twist, _ = sample.step_means()
-    dt = np.diff(sample.stamp, prepend=sample.stamp[0])
-    step = sample.rig.cam_T_imu @ se3.exp(-twist * dt[:, None]) @ sample.rig.imu_T_cam
-    moved = se3.transform(step[frame], sample.rig.back_project(z[before])[:, None])[:, 0]
-    behind = moved[:, 2] < _NEAREST
-    moved[:, 2] = np.maximum(moved[:, 2], _NEAREST)
-    error = np.linalg.norm(sample.rig.project(moved) - z[after], axis=1)
-    error[behind] = _WORST_PX
-    out = np.full(len(sample), np.nan)
-    order = np.argsort(frame, kind="stable")
-    edges = np.searchsorted(frame[order], np.arange(len(sample) + 1))
-    for k in np.flatnonzero(np.diff(edges) >= 4):
-        out[k] = np.median(error[order[edges[k] : edges[k + 1]]])
-    return out
+class _Sample:
+    """Pairs of sightings that all candidates are tried on, and what does not depend on the mounting."""
+
+    def __init__(self, sequence: Sequence) -> None:
+        pairs = continuations(sequence)
+        z = sequence.z
+        near = np.flatnonzero(z[pairs.before, 0] - z[pairs.before, 1] > _SMALLEST_DISPARITY)
+        chosen = near[:: max(1, len(near) // _PAIRS)]
+        before, after = pairs.before[chosen], pairs.after[chosen]
+        self._sequence = sequence
+        self._points = sequence.rig.back_project(z[before])
+        self._z = z[after]
+        # Pairs come frame after frame, so the medians of frames are those of slices.
+        self._frame = sequence.frame_of[after]
+        self._edges = np.searchsorted(self._frame, np.arange(len(sequence) + 1))
+        twist, _ = sequence.step_means()
+        dt = np.diff(sequence.stamp, prepend=sequence.stamp[0])
+        self._prev_T_next = se3.exp(-twist * dt[:, None])
+
+    def frame_errors(self, candidate: Candidate) -> Array:
+        """Median error ``(T,)`` [px] of each frame predicted from the one before; NaN without tracks."""
+        rig = mounted(self._sequence, candidate).rig
+        step = rig.cam_T_imu @ self._prev_T_next @ rig.imu_T_cam
+        moved = se3.transform(step[self._frame], self._points[:, None])[:, 0]
+        behind = moved[:, 2] < _NEAREST
+        moved[:, 2] = np.maximum(moved[:, 2], _NEAREST)
+        error = np.linalg.norm(rig.project(moved) - self._z, axis=1)
+        error[behind] = _WORST_PX
+        out = np.full(len(self._sequence), np.nan)
+        for k in np.flatnonzero(np.diff(self._edges) >= _FEWEST):
+            out[k] = np.median(error[self._edges[k] : self._edges[k + 1]])
+        return out

@@ -19,7 +19,8 @@ from vislam.vision import Continuations, RigidFit, predicted_steps
 _SHORTEST_M = 0.2
 """A step below this says nothing about scale."""
 _SMALLEST_FLOW_PX = 2.0
-_EDGES_PX = np.array([2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, 80.0])
+_EDGES_PX = np.array([3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, 80.0])
+"""Bins of disparity. Below them the gate at which a track may start chooses what the noise made near."""
 _FEWEST = 40
 _BLOCKS = 12
 _OUTLIER = 6.0
@@ -111,7 +112,7 @@ def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
     fitting = Measured("baseline", "m", baseline / scale.value, baseline / scale.high, baseline / scale.low)
     text = f"{scale} for near tracks; they would agree with {fitting}, the rig has {baseline:.5f} m"
     off = abs(scale.value - 1.0)
-    if off > _SCALE_FAULT and off > 4.0 * scale.sigma:
+    if off > _SCALE_FAULT and off > 3.0 * scale.sigma:
         text = f"the camera's way is {100 * (scale.value - 1):+.1f} % off: {text}; look up the calibration"
         proposal = {"data.repair.baseline": {"metres": float(f"{fitting.value:.4g}")}}
         return Finding("stereo scale", "fault", text, (scale, fitting), proposal=proposal)

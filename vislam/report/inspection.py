@@ -87,8 +87,8 @@ def _checks(series: dict[str, Array]) -> Figure:
         np.arange(1, len(series["mounting_score"]) + 1), series["mounting_score"], "o-", markersize=3
     )
     readings.set(xlabel="reading of axes and extrinsic, by rank", ylabel="one-frame error [px]")
-    clock.plot(series["clock_lag"], series["clock_covariance"])
-    clock.set(xlabel="clock offset [s]", ylabel="covariance of the rates of turn")
+    clock.plot(series["clock_lag"], series["clock_cost"])
+    clock.set(xlabel="clock offset [s]", ylabel="mismatch of the two motions")
     ways.plot(series["way_disparity"], series["way_ratio"], "o-")
     ways.axhline(1.0, color="0.6", linewidth=0.8)
     ways.set(xlabel="disparity [px]", ylabel="camera's way over inertial way", xscale="log")

@@ -1,0 +1,170 @@
+"""Each trap planted and removed: the inspection finds it, and finds nothing where nothing is.
+
+The rates are those of short simulated drives (160 frames); a recording is six times as long.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import recorded
+from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.data import load_course_npz
+from vislam.data.source import open_dataset
+from vislam.inspection import inspect_sequence
+from vislam.inspection.checks import unrepaired
+from vislam.inspection.mounting import candidates
+from vislam.repair import RepairConfig
+from vislam.simulation import SimulationConfig
+
+CLEAN = SimulationConfig(
+    frames=160,
+    tracks_in_view=60,
+    pixel_sigma_px=0.15,
+    drift_px=0.15,
+    match_px=0.4,
+    gyro_bias=(0.004, -0.003, 0.005),
+    gyro_sigma=0.003,
+    velocity_sigma=0.03,
+)
+NOISE = NoiseConfig(twist_density=(1e-3, 1e-3, 1e-3, 0.01, 0.02, 0.02))
+TRAPS = {
+    "axes": ("axes and extrinsic", {"extrinsic_axes": ("x", "-y", "-z")}),
+    "inverted extrinsic": (
+        "axes and extrinsic",
+        {"extrinsic_rotation": "inverse", "extrinsic_translation": "inverse"},
+    ),
+    "stale tracks": ("stale tracks", {"stale_probability": 0.1}),
+    "clock": ("clock", {"clock_offset": 0.08}),
+    "levelled velocity": ("third velocity component", {"levelled_velocity": True, "hills_m": 15.0}),
+    "baseline": ("stereo scale", {"stated_baseline": 0.62}),
+    "disparity offset": ("disparity offset", {"disparity_offset_px": -0.5}),
+    "moving objects": ("moving objects", {"moving_share": 0.2}),
+    "gyro bias": ("biases", {"gyro_bias": (0.06, -0.05, 0.06)}),
+    "gyro noise": ("inertial noise", {"gyro_sigma": 0.1}),
+    "negative disparities": ("observations", {"outlier_probability": 0.02}),
+}
+SWITCHED_OFF = {
+    "stale tracks": "stale_tracks",
+    "moving objects": "consensus",
+    "negative disparities": "disparity",
+}
+
+
+def inspected(simulation, *, seed, repair=None):
+    steps = RepairConfig() if repair is None else repair
+    config = Config(name="s", data=DataConfig(simulation=simulation, repair=steps), noise=NOISE)
+    return inspect_sequence(open_dataset(unrepaired(config).data, seed=seed).sequence, config)
+
+
+def planted(trap, *, seed):
+    check, faults = TRAPS[trap]
+    steps = RepairConfig()
+    if trap in SWITCHED_OFF:
+        steps = replace(steps, **{SWITCHED_OFF[trap]: None})
+    return inspected(replace(CLEAN, **faults), seed=seed, repair=steps).finding(check)
+
+
+@pytest.mark.parametrize("trap", sorted(TRAPS))
+def test_a_planted_trap_is_found_and_answered(trap):
+    finding = planted(trap, seed=2)
+    assert finding.verdict == "fault", finding.text
+    assert finding.proposal
+
+
+def test_a_clean_drive_has_no_fault():
+    faults = [item.text for item in inspected(CLEAN, seed=1).findings if item.verdict == "fault"]
+    assert faults == []
+
+
+def test_what_is_proposed_answers_what_was_found():
+    spoilt = replace(
+        CLEAN,
+        frames=250,
+        extrinsic_axes=("x", "-y", "-z"),
+        clock_offset=0.07,
+        stale_probability=0.1,
+        disparity_offset_px=-0.5,
+    )
+    first = inspected(spoilt, seed=4)
+    offset = first.finding("disparity offset").proposal["data.repair.disparity_offset"]["pixels"]
+    clock = first.finding("clock").proposal["data.repair.clock"]["offset"]
+    assert first.finding("axes and extrinsic").proposal["data.repair.axes"] == {"body": ["x", "-y", "-z"]}
+    assert abs(offset + 0.5) < 0.2
+    assert abs(clock - 0.07) < 0.015
+
+
+def test_intervals_hold_what_was_planted():
+    result = inspected(replace(CLEAN, frames=300, clock_offset=0.04), seed=7)
+    for check, planted_value in (("clock", 0.04), ("stereo scale", 1.0), ("disparity offset", 0.0)):
+        measured = result.finding(check).measured[0]
+        assert abs(measured.value - planted_value) < 4.0 * measured.sigma, str(measured)
+    for measured, value in zip(result.finding("biases").measured, CLEAN.gyro_bias, strict=False):
+        assert abs(measured.value - value) < 4.0 * measured.sigma, str(measured)
+
+
+def test_gaps_are_counted():
+    raw = open_dataset(DataConfig(simulation=CLEAN), seed=1).sequence
+    late = np.where(np.arange(len(raw)) >= 80, 2 * CLEAN.period, 0.0)
+    config = Config(name="s", data=DataConfig(simulation=CLEAN))
+    result = inspect_sequence(replace(raw, stamp=raw.stamp + late, inertial_stamp=raw.stamp + late), config)
+    assert result.finding("stamps").counts["frames_missing"] == 2
+
+
+def test_there_are_24_turns_under_four_readings():
+    everyone = candidates()
+    assert len(everyone) == 96
+    assert len({item.axes for item in everyone}) == 24
+
+
+def test_a_drive_without_tracks_is_unclear_not_a_crash():
+    blind = replace(CLEAN, frames=30, tracks_in_view=2)
+    assert inspected(blind, seed=1).finding("motion").verdict == "unclear"
+
+
+@pytest.mark.slow
+def test_rates_of_false_alarms_and_of_misses():
+    clean = [inspected(CLEAN, seed=seed) for seed in range(10, 20)]
+    checks = [item for result in clean for item in result.findings]
+    alarms = [item.check for item in checks if item.verdict == "fault"]
+    misses = {
+        trap: sum(planted(trap, seed=seed).verdict != "fault" for seed in range(20, 24)) for trap in TRAPS
+    }
+    print(f"\nfalse alarms {len(alarms)} of {len(checks)} {alarms}; misses of 4 {misses}")
+    assert len(alarms) <= 0.03 * len(checks)
+    assert sum(misses.values()) <= 0.1 * 4 * len(TRAPS)
+
+
+@pytest.mark.parametrize(
+    ("name", "faults"),
+    [
+        (
+            "03.npz",
+            {
+                "observations",
+                "stale tracks",
+                "clock",
+                "axes and extrinsic",
+                "third velocity component",
+                "stereo scale",
+                "disparity offset",
+                "moving objects",
+            },
+        ),
+        ("0027.npz", {"observations", "stale tracks", "clock", "moving objects"}),
+    ],
+)
+@pytest.mark.slow
+def test_recorded_traps_are_found_with_nothing_configured(name, faults):
+    raw = load_course_npz(recorded(name))
+    nothing = RepairConfig(stale_tracks=None, disparity=None, consensus=None)
+    density = (2e-3,) * 3 + (5e-3, 0.02, 0.02) if name == "03.npz" else (0.016,) * 3 + (0.16,) * 3
+    config = Config(
+        name="bare",
+        data=DataConfig(file=name, repair=nothing),
+        noise=NoiseConfig(twist_density=density),
+    )
+    result = inspect_sequence(raw, config)
+    assert {item.check for item in result.findings if item.verdict == "fault"} == faults
+    assert len(result.series["stale_frames"]) == {"03.npz": 153, "0027.npz": 91}[name]
