@@ -14,7 +14,7 @@ from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import maximise
 from vislam.config import Config
 from vislam.data.source import Dataset
-from vislam.errors import DivergedError
+from vislam.errors import DataError, DivergedError
 from vislam.run import Run
 from vislam.types import Array, BoolArray
 
@@ -97,9 +97,13 @@ def calibrate(
 
     Raises
     ------
+    DataError
+        If there is nothing to calibrate on.
     DivergedError
         If the filter does not finish with the config it starts from.
     """
+    if dataset.sequence.observations == 0:
+        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, mp_context=context) if processes > 1 else None
     try:
