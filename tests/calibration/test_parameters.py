@@ -10,6 +10,7 @@ from vislam.calibration.parameters import MATCH, parameters
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.sequence import Sequence
 from vislam.data.source import Dataset, open_dataset
+from vislam.errors import DataError
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
@@ -180,3 +181,9 @@ def test_the_first_frames_are_those_of_the_whole(dataset):
 
 def test_more_frames_than_there_are_is_all_of_them(dataset):
     assert same(first_frames(dataset.sequence, 1000), dataset.sequence)
+
+
+@pytest.mark.parametrize("frames", [1, 0, -3])
+def test_fewer_than_two_frames_are_no_drive(dataset, frames):
+    with pytest.raises(DataError, match="at least 2 are needed"):
+        first_frames(dataset.sequence, frames)

@@ -1,4 +1,4 @@
-"""The search of the maximum, on likelihoods whose maximum and standard deviations are known in closed form."""
+"""The search of the maximum, on likelihoods whose maximum and standard deviations have a closed form."""
 
 import numpy as np
 import pytest
