@@ -175,7 +175,7 @@ def test_a_planted_clock_offset_is_found():
 
 def test_noise_of_piecewise_constant_steps_is_found():
     """The other way round: the motion is exact, and each step's twist has noise of its own."""
-    dataset = simulated(3, frames=60, density=np.zeros(6))
+    dataset = simulated(3, frames=45, density=np.zeros(6))
     whole = Clock(offset=CLOCK).apply(dataset.sequence).step_means()[0][1:]
     dt = np.diff(dataset.sequence.stamp)[:, None]
     noise = DENSITY / np.sqrt(dt) * np.random.default_rng(4).standard_normal(whole.shape)
@@ -192,7 +192,7 @@ def test_noise_of_piecewise_constant_steps_is_found():
 
 @pytest.mark.parametrize("factor", [3.0, 1.0 / 3.0])
 def test_pixel_noise_three_times_off_is_brought_back(factor):
-    dataset = with_clock(simulated(5, frames=60))
+    dataset = with_clock(simulated(5, frames=40))
     start = config_of(clock=CLOCK, pixel_sigma_px=factor * 0.3)
     result = calibrate(start, dataset, only("pixel_sigma_px", "drift_px"))
     assert result.config.noise.pixel_sigma_px == pytest.approx(0.3, rel=0.1)
@@ -203,7 +203,7 @@ def test_pixel_noise_three_times_off_is_brought_back(factor):
 
 def test_side_slip_that_is_not_there_is_said_not_to_be_needed():
     density = DENSITY * [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
-    dataset = with_clock(simulated(6, frames=60, density=density))
+    dataset = with_clock(simulated(6, frames=40, density=density))
     result = calibrate(config_of(clock=CLOCK), dataset, only("(lateral)"))
     lateral = result.parameters[0]
     assert not lateral.needed
