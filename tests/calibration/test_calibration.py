@@ -247,7 +247,7 @@ def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
     biases = np.concatenate([hits for name, hits in covered.items() if name.startswith("bias")])
     others = np.concatenate([hits for name, hits in covered.items() if not name.startswith("bias")])
     pooled = np.concatenate([biases, others])
-    # Intervals that covered three times in four would get there twice in a thousand times.
+    # Intervals that covered three times in four would get there once in a thousand times.
     assert pooled.mean() >= 0.85, rates
     assert np.mean(match) >= 0.5
     assert min(rates.values()) >= 0.5, rates
