@@ -1,4 +1,4 @@
-"""The calibration: choose observations by the gate, maximise, choose again, until the choice rests."""
+"""The calibration: choose observations by the gate, maximise, choose again, until choice and match rest."""
 
 import logging
 import multiprocessing
@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.match import MatchLevel, match_level
+from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import maximise
 from vislam.config import Config
 from vislam.data.source import Dataset
-from vislam.errors import DivergedError
+from vislam.errors import DataError, DivergedError
 from vislam.run import Run
 from vislam.types import Array, BoolArray
 
@@ -23,6 +23,8 @@ _CHOICES = 3
 """How often the gate may choose anew."""
 _RESTS = 0.002
 """Share of the observations whose change of side ends the choosing."""
+_MATCH_RESTS = 0.5
+"""Change of the match level, in its standard deviations, that ends it."""
 _LARGEST_LOG = 0.7
 _LARGEST_OFFSET_STEPS = 10.0
 
@@ -97,9 +99,13 @@ def calibrate(
 
     Raises
     ------
+    DataError
+        If there is nothing to calibrate on.
     DivergedError
         If the filter does not finish with the config it starts from.
     """
+    if dataset.sequence.observations == 0:
+        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, mp_context=context) if processes > 1 else None
     try:
@@ -114,9 +120,8 @@ def _calibrate(
 ) -> Calibration:
     before = _finished(evaluator.run(config))
     current, run = config, before
-    match = MatchLevel(config.noise.match_px, np.inf, False)
+    match = match_level(current, evaluator)
     for choice in range(1, _CHOICES + 1):
-        match = match_level(current, evaluator)
         current = MATCH.write(current, match.pixels)
         run = _finished(evaluator.run(current))
         refused = run.gated
@@ -142,8 +147,12 @@ def _calibrate(
             f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {ratio:.3f}, "
             f"{changed} observations changed sides"
         )
-        if changed <= _RESTS * len(refused):
+        # The level of the match was read off with the noise from before this choice.
+        again = match_level(current, evaluator)
+        match_rests = abs(again.pixels - match.pixels) <= _MATCH_RESTS * again.sigma
+        if (changed <= _RESTS * len(refused) and match_rests) or choice == _CHOICES:
             break
+        match = again
     bias, bias_sigma = _bias(current, evaluator, run)
     start_sigma = np.hypot(
         bias_sigma, np.array(config.noise.bias_walk) * np.sqrt(run.stamp[-1] - run.stamp[0])

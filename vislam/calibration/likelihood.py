@@ -13,6 +13,7 @@ from vislam.config import Config
 from vislam.data.sequence import Sequence
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.errors import DataError
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 from vislam.run import Run
@@ -67,7 +68,9 @@ class Evaluator:
 
 
 def first_frames(sequence: Sequence, frames: int) -> Sequence:
-    """Return the first frames of a sequence."""
+    """Return the first frames of a sequence; DataError if these are fewer than two."""
+    if frames < 2:
+        raise DataError(f"{sequence.name}: the first {frames} frames are no drive, at least 2 are needed")
     frames = min(frames, len(sequence))
     rows = slice(0, int(sequence.offset[frames]))
     return replace(

@@ -57,12 +57,13 @@ def maximise(
     largest : (p,)
         Largest move of a parameter in one round.
     tolerance : float
-        The search ends when a round gains less log likelihood than this.
+        The search ends when a round gains less log likelihood than this; a parameter whose lowest value costs
+        no more than this goes there, and stays.
     """
-    point = np.maximum(start, lowest)
+    point, needed = np.maximum(start, lowest), np.ones(len(start), bool)
     for rounds in range(1, _ROUNDS + 1):
         scores, here, curvature = _scores(evaluate, point, steps)
-        free = ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
+        free = needed & ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
         candidates = [
             np.maximum(point + np.clip(move, -largest, largest), lowest)
             for move in _moves(scores, curvature, free)
@@ -74,7 +75,13 @@ def maximise(
         if gain > 0.0:
             point, here = candidates[choice], values[choice]
         if gain < tolerance:
-            break
+            # Towards its lowest value a level's score fades, so the search comes to rest short of it.
+            dropped = _not_needed(evaluate, point, lowest, at_least=here - tolerance)
+            if dropped is None:
+                break
+            index, here = dropped
+            point, needed[index], free[index] = point.copy(), False, False
+            point[index] = lowest[index]
     return Maximum(point, _sigma(scores, curvature, free), here, rounds)
 
 
@@ -94,6 +101,20 @@ def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, floa
     ]
     scores = np.nan_to_num(np.column_stack(slopes), posinf=0.0, neginf=0.0)
     return scores, float(here.sum()), np.nan_to_num(np.array(bends), posinf=0.0, neginf=0.0)
+
+
+def _not_needed(
+    evaluate: Evaluate, point: Array, lowest: Array, *, at_least: float
+) -> tuple[int, float] | None:
+    """Parameter that does best without, and the likelihood at its lowest value; None if too low."""
+    above = np.flatnonzero(point > np.where(np.isfinite(lowest), lowest + 1e-9, np.inf))
+    if not len(above):
+        return None
+    candidates = np.tile(point, (len(above), 1))
+    candidates[np.arange(len(above)), above] = lowest[above]
+    values = [float(part.sum()) for part in evaluate(list(candidates))]
+    best = int(np.argmax(values))
+    return (int(above[best]), values[best]) if values[best] >= at_least else None
 
 
 def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
