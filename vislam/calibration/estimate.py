@@ -26,6 +26,8 @@ _RESTS = 0.002
 _MATCH_RESTS = 0.5
 """Change of the match level, in its standard deviations, that ends it."""
 _LARGEST_LOG = 0.7
+_LEVELLINGS, _LEVEL = 3, 0.05
+"""How often the pixel noise is scaled at most, and the NIS per degree of freedom that is near enough to 1."""
 _LARGEST_OFFSET_STEPS = 10.0
 
 
@@ -153,6 +155,7 @@ def _calibrate(
         if (changed <= _RESTS * len(refused) and match_rests) or choice == _CHOICES:
             break
         match = again
+    current, run = _levelled(current, evaluator, run, say)
     bias, bias_sigma = _bias(current, evaluator, run)
     start_sigma = np.hypot(
         bias_sigma, np.array(config.noise.bias_walk) * np.sqrt(run.stamp[-1] - run.stamp[0])
@@ -165,13 +168,37 @@ def _calibrate(
     final = replace(current, noise=noise)
     after = _finished(evaluator.run(final))
     found = [
-        _with_interval(item, config, value, sigma)
-        for item, value, sigma in zip(chosen, maximum.point, maximum.sigma, strict=True)
+        _with_interval(item, config, item.searched(item.read(current)), sigma)
+        for item, sigma in zip(chosen, maximum.sigma, strict=True)
     ]
     if match.found:
         level = MATCH.searched(match.pixels)
         found.append(_with_interval(MATCH, config, level, match.sigma / match.pixels))
     return Calibration(final, found, bias, bias_sigma, before, after)
+
+
+def _levelled(
+    config: Config, evaluator: Evaluator, run: Run, say: Callable[[str], None]
+) -> tuple[Config, Run]:
+    """Config whose pixel noise is scaled until the NIS of the filter with its own gate is 1 a degree of freedom.
+
+    The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the filter
+    that runs with it lets others pass than those, and claims too much.
+    """
+    for _ in range(_LEVELLINGS):
+        ratio = float(run.nis.sum() / max(run.dof.sum(), 1))
+        if abs(ratio - 1.0) < _LEVEL:
+            break
+        scale = float(np.sqrt(ratio))
+        noise = replace(
+            config.noise,
+            pixel_sigma_px=config.noise.pixel_sigma_px * scale,
+            drift_px=config.noise.drift_px * scale,
+        )
+        config = replace(config, noise=noise)
+        run = _finished(evaluator.run(config))
+        say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
+    return config, run
 
 
 def _bias(config: Config, evaluator: Evaluator, run: Run) -> tuple[Array, Array]:

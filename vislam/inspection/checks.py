@@ -86,7 +86,7 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     if (repair.levelled_velocity is None) == (third.verdict == "fault"):
         timed = LevelledVelocity().apply(timed)
     book.enter(motion.check_biases(timed, steps, bias_sigma=noise.bias_sigma))
-    told, series = stereo.check_stereo(timed, stereo.ways(timed, pairs, fits), repair)
+    told, series = stereo.check_stereo(timed, repair)
     for finding in told:
         book.enter(finding, series)
     book.enter(

@@ -13,8 +13,9 @@ import numpy as np
 from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured
 from vislam.repair import RepairConfig
+from vislam.repair.pixels import DisparityOffset
 from vislam.types import Array
-from vislam.vision import Continuations, RigidFit, predicted_steps
+from vislam.vision import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
 
 _SHORTEST_M = 0.2
 """A step below this says nothing about scale."""
@@ -26,6 +27,10 @@ _BLOCKS = 12
 _OUTLIER = 6.0
 _SCALE_FAULT = 0.006
 _OFFSET_FAULT_PX = 0.1
+_TRIALS, _RESTS_PX, _LARGEST_MOVE_PX = 3, 0.05, 1.0
+_SMALLEST_DISPARITY_PX = 0.5
+_FLOOR = np.array([0.001, 0.03])
+"""What the choice of tracks moves the scale and the offset [px] by, whatever their intervals say."""
 
 
 @dataclass(frozen=True)
@@ -76,35 +81,68 @@ def ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) ->
     return Ways(table[:, 0], table[:, 1], table[:, 2])
 
 
-def check_stereo(
-    sequence: Sequence, seen: Ways, repair: RepairConfig
-) -> tuple[list[Finding], dict[str, Array]]:
-    """Baseline and disparity offset at which near and far tracks agree with the inertial way."""
-    whole, centres, medians = _fit(seen.disparity, seen.ratio)
-    series = {"way_disparity": centres, "way_ratio": medians}
-    if whole is None:
+def check_stereo(sequence: Sequence, repair: RepairConfig) -> tuple[list[Finding], dict[str, Array]]:
+    """Baseline and disparity offset at which near and far tracks agree with the inertial way.
+
+    Part of an offset hides in the turn and direction of the fits, so what is left of it is taken out and the
+    fits are made again, until nothing is left: by secants.
+    """
+    first = _told(sequence, 0.0)
+    if first is None:
         text = "too few tracks with flow and depth to tell scale and offset"
-        return [
-            Finding("stereo scale", "unclear", text),
-            Finding("disparity offset", "unclear", text),
-        ], series
-    edges = np.quantile(seen.frame, np.linspace(0.0, 1.0, _BLOCKS + 1))
-    parts = np.clip(np.searchsorted(edges, seen.frame, side="right") - 1, 0, _BLOCKS - 1)
-    left_out = np.array(
-        [
-            fit
-            for part in range(_BLOCKS)
-            if (fit := _fit(seen.disparity[parts != part], seen.ratio[parts != part])[0]) is not None
-        ]
-    )
-    error = np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    scale, offset = (
+        return [Finding("stereo scale", "unclear", text), Finding("disparity offset", "unclear", text)], {}
+    told, offset, gain = first, 0.0, 0.5
+    for _ in range(_TRIALS):
+        if abs(told.left[1]) < _RESTS_PX:
+            break
+        move = float(np.clip(told.left[1] / gain, -_LARGEST_MOVE_PX, _LARGEST_MOVE_PX))
+        moved = _told(sequence, offset + move)
+        if moved is None:
+            break
+        gain = float(np.clip((told.left[1] - moved.left[1]) / move, 0.2, 1.2))
+        told, offset = moved, offset + move
+    offset += told.left[1] / gain
+    scale, error = told.left[0], told.error / np.array([1.0, gain])
+    measured = [
         Measured(name, unit, float(value), float(value - 1.96 * one), float(value + 1.96 * one))
         for name, unit, value, one in zip(
-            ("camera's way over inertial way", "disparity offset"), ("", "px"), whole, error, strict=True
+            ("camera's way over inertial way", "disparity offset"),
+            ("", "px"),
+            (scale, offset),
+            np.hypot(error, _FLOOR),
+            strict=True,
         )
-    )
-    return [_scale_finding(sequence, scale), _offset_finding(offset, repair)], series
+    ]
+    series = {"way_disparity": first.centres, "way_ratio": first.medians}
+    return [_scale_finding(sequence, measured[0]), _offset_finding(measured[1], repair)], series
+
+
+@dataclass(frozen=True)
+class _Told:
+    """Scale and offset that are left, their jackknife errors, and the medians they come from."""
+
+    left: Array
+    error: Array
+    centres: Array
+    medians: Array
+
+
+def _told(sequence: Sequence, offset: float) -> _Told | None:
+    """What the tracks tell once an offset is taken out of the disparities; None if too few tell anything."""
+    moved = DisparityOffset(pixels=offset).apply(sequence)
+    disparity = moved.z[:, 0] - moved.z[:, 1]
+    moved = moved.select(disparity > _SMALLEST_DISPARITY_PX)
+    pairs = continuations(moved)
+    seen = ways(moved, pairs, rigid_fits(moved, pairs))
+    whole, centres, medians = _fit(seen.disparity, seen.ratio)
+    if whole is None:
+        return None
+    edges = np.quantile(seen.frame, np.linspace(0.0, 1.0, _BLOCKS + 1))
+    parts = np.clip(np.searchsorted(edges, seen.frame, side="right") - 1, 0, _BLOCKS - 1)
+    fits = [_fit(seen.disparity[parts != part], seen.ratio[parts != part])[0] for part in range(_BLOCKS)]
+    left_out = np.array([fit for fit in fits if fit is not None])
+    error = np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    return _Told(whole, error, centres, medians)
 
 
 def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
