@@ -44,9 +44,10 @@ def _calibrate(options: argparse.Namespace) -> int:
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
     from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
-    from vislam.files import replace_whole  # noqa: PLC0415
+    from vislam.files import check_writable, replace_whole  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
+    check_writable(options.out)
     terminal = Terminal()
     dataset = open_dataset(
         config.data,

@@ -6,6 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vislam.errors import DataError
+
+
+def check_writable(path: Path) -> None:
+    """Raise DataError if a file could not be written there, before the work that would be lost."""
+    folder = path.resolve().parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK) or path.is_dir():
+        raise DataError(f"{path}: cannot be written there; name another file or folder")
+
 
 @contextmanager
 def replace_whole(path: Path) -> Iterator[Path]:

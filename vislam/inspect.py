@@ -34,7 +34,7 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam import config as configuration  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
     from vislam.errors import ConfigError, DataError  # noqa: PLC0415
-    from vislam.files import replace_whole  # noqa: PLC0415
+    from vislam.files import check_writable, replace_whole  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
     from vislam.report.inspection import write_inspection  # noqa: PLC0415
@@ -48,6 +48,9 @@ def _inspect(options: argparse.Namespace) -> int:
     for dotted, value in overrides(options).items():
         configuration.put(tree, dotted, value)
     config = configuration.parse(configuration.Config, tree)
+    for path in (options.out / "inspection.json", options.write_config):
+        if path is not None:
+            check_writable(path)
     terminal = Terminal()
     dataset = open_dataset(
         unrepaired(config).data,
@@ -62,10 +65,7 @@ def _inspect(options: argparse.Namespace) -> int:
     result = inspect_sequence(dataset.sequence, config)
     for finding in result.findings:
         terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
-    try:
-        write_inspection(options.out, result, stand_in=dataset.sequence.stand_in)
-    except OSError as error:
-        raise DataError(f"{options.out}: results cannot be written there ({error.strerror})") from None
+    write_inspection(options.out, result, stand_in=dataset.sequence.stand_in)
     terminal.note(f"written: {options.out / 'inspection.json'} and figures")
     if result.proposal:
         terminal.note("proposed:")

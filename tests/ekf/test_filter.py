@@ -102,3 +102,24 @@ def test_a_lost_covariance_raises():
     state = JointState(pose_sigma=np.ones(6), bias=np.zeros(6), bias_sigma=np.ones(6))
     with pytest.raises(DivergedError, match="smallest eigenvalue -1"):
         state.update(np.zeros((12, 3)), -np.eye(3), np.zeros(3))
+
+
+def test_without_drift_and_match_error_both_ways_of_taking_them_are_one(short: Dataset, short_config: Config):
+    plain = replace(short_config, noise=replace(short_config.noise, drift_px=0.0, match_px=0.0))
+    problem, sigma = make_problem(plain, short), pixel_sigma(plain, short)
+    runs = [
+        run(EkfEstimator(problem, EkfOptions(track_errors=how)), short.sequence, sigma, name=how)
+        for how in ("states", "independent")
+    ]
+    assert np.allclose(runs[0].world_T_imu, runs[1].world_T_imu, atol=1e-6)
+    assert np.isclose(runs[0].log_likelihood.sum(), runs[1].log_likelihood.sum(), rtol=1e-4)
+
+
+def test_the_states_explain_tracks_that_drift_better_than_white_noise(short: Dataset, short_config: Config):
+    sigma = pixel_sigma(short_config, short)
+    problem = make_problem(short_config, short)
+    states, white = (
+        run(EkfEstimator(problem, EkfOptions(gate=False, track_errors=how)), short.sequence, sigma, name=how)
+        for how in ("states", "independent")
+    )
+    assert states.log_likelihood.sum() > white.log_likelihood.sum() + 50.0

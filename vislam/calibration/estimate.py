@@ -27,7 +27,7 @@ _MATCH_RESTS = 0.5
 """Change of the match level, in its standard deviations, that ends it."""
 _LARGEST_LOG = 0.7
 _LEVELLINGS, _LEVEL = 3, 0.05
-"""How often the pixel noise is scaled at most, and the NIS per degree of freedom that is near enough to 1."""
+"""How often the pixel noise is scaled at most, and how near to 1 the NIS must come."""
 _LARGEST_OFFSET_STEPS = 10.0
 
 
@@ -180,10 +180,10 @@ def _calibrate(
 def _levelled(
     config: Config, evaluator: Evaluator, run: Run, say: Callable[[str], None]
 ) -> tuple[Config, Run]:
-    """Config whose pixel noise is scaled until the NIS of the filter with its own gate is 1 a degree of freedom.
+    """Config whose pixel noise is scaled until the NIS per degree of freedom of the gated filter is 1.
 
-    The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the filter
-    that runs with it lets others pass than those, and claims too much.
+    The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the
+    filter that runs with it lets others pass than those, and claims too much.
     """
     for _ in range(_LEVELLINGS):
         ratio = float(run.nis.sum() / max(run.dof.sum(), 1))
