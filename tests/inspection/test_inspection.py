@@ -147,7 +147,6 @@ def test_rates_of_false_alarms_and_of_misses():
                 "clock",
                 "axes and extrinsic",
                 "third velocity component",
-                "stereo scale",
                 "disparity offset",
                 "moving objects",
             },
