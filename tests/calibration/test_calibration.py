@@ -189,7 +189,7 @@ def test_noise_of_piecewise_constant_steps_is_found():
     assert max(np.abs(list(errors.values()))) < 4.0, errors
 
 
-@pytest.mark.parametrize("factor", [3.0, 1.0 / 3.0])
+@pytest.mark.parametrize("factor", [3.0, pytest.param(1.0 / 3.0, marks=pytest.mark.slow)])
 def test_pixel_noise_three_times_off_is_brought_back(factor):
     dataset = with_clock(simulated(5, frames=40))
     start = config_of(clock=CLOCK, pixel_sigma_px=factor * 0.3)

@@ -124,6 +124,7 @@ def test_only_the_first_frames_are_used_when_told(small, monkeypatch, capsys):
     assert seen == {(9, None)}
 
 
+@pytest.mark.slow
 def test_processes_side_by_side_find_the_same(small, capsys):
     assert calibrated(small, *FEW, "--out", "one.yaml") == 0
     assert calibrate.main(["--config", small, *FEW, "--out", "two.yaml", "--processes", "2"]) == 0

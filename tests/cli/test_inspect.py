@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 import yaml
 
 from tests.cli.test_compare import course_file
@@ -39,6 +40,7 @@ def test_it_says_writes_and_proposes(tmp_path, capsys):
     assert repaired.stale_tracks is not None
 
 
+@pytest.mark.slow
 def test_what_it_writes_has_no_such_fault_left(tmp_path, capsys):
     config, proposed = written(tmp_path / "c.yaml", SPOILT), tmp_path / "new.yaml"
     main(["--config", config, "--out", str(tmp_path / "out"), "--write-config", str(proposed)])

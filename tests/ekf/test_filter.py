@@ -63,7 +63,7 @@ def test_without_noise_it_ends_at_the_truth(short_config: Config):
 
 
 def test_the_bias_is_found(short_config: Config):
-    biased = SimulationConfig(frames=250, gyro_bias=(0.01, -0.012, 0.008), pixel_sigma_px=0.3)
+    biased = SimulationConfig(frames=180, gyro_bias=(0.01, -0.012, 0.008), pixel_sigma_px=0.3)
     config = replace(short_config, data=DataConfig(simulation=biased))
     dataset = open_dataset(config.data, seed=2)
     result = filtered(config, dataset)
