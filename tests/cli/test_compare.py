@@ -52,6 +52,22 @@ def config_file(path, text):
     return str(path)
 
 
+def test_every_repair_is_in_the_report_on_or_off(tmp_path):
+    switched = ["--set", "data.repair.consensus=false", "--estimators", "dead_reckoning"]
+    assert main(["--config", TINY, "--out", str(tmp_path / "out"), *switched]) == 0
+    (folder,) = (tmp_path / "out").iterdir()
+    steps = {
+        step["name"]: step for step in json.loads((folder / "metrics.json").read_text())["dataset"]["repairs"]
+    }
+    assert steps["stale_tracks"]["applied"]
+    assert steps["stale_tracks"]["counts"]["stale_frames"] > 0
+    assert steps["clock"]["options"] == {"offset": 0.05}
+    assert not steps["consensus"]["applied"]
+    page = (folder / "report.html").read_text()
+    assert "<td>stale tracks</td><td>on</td>" in page
+    assert "<td>consensus</td><td>off</td>" in page
+
+
 def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert main(["--config", TINY, "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
