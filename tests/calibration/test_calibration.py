@@ -162,6 +162,7 @@ def test_the_config_holds_what_was_found(known_clock):
     assert replace(known_clock.config, noise=off().noise) == off_with_clock()
 
 
+@pytest.mark.slow
 def test_a_planted_clock_offset_is_found():
     dataset = simulated(2, frames=60)
     result = calibrate(config_of(), dataset, only("clock.offset"))
@@ -172,6 +173,7 @@ def test_a_planted_clock_offset_is_found():
     assert result.config.data.repair.clock.offset == clock.value
 
 
+@pytest.mark.slow
 def test_noise_of_piecewise_constant_steps_is_found():
     """The other way round: the motion is exact, and each step's twist has noise of its own."""
     dataset = simulated(3, frames=45, density=np.zeros(6))
@@ -189,7 +191,8 @@ def test_noise_of_piecewise_constant_steps_is_found():
     assert max(np.abs(list(errors.values()))) < 4.0, errors
 
 
-@pytest.mark.parametrize("factor", [3.0, pytest.param(1.0 / 3.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [3.0, 1.0 / 3.0])
 def test_pixel_noise_three_times_off_is_brought_back(factor):
     dataset = with_clock(simulated(5, frames=40))
     start = config_of(clock=CLOCK, pixel_sigma_px=factor * 0.3)
@@ -200,6 +203,7 @@ def test_pixel_noise_three_times_off_is_brought_back(factor):
     assert not 0.8 < ratio(result.before) < 1.2
 
 
+@pytest.mark.slow
 def test_side_slip_that_is_not_there_is_said_not_to_be_needed():
     density = DENSITY * [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
     dataset = with_clock(simulated(6, frames=40, density=density))

@@ -45,7 +45,7 @@ TRAPS = {
     "gyro noise": ("inertial noise", {"gyro_sigma": 0.1}),
     "negative disparities": ("observations", {"outlier_probability": 0.02}),
 }
-QUICK = ("axes", "stale tracks", "disparity offset")
+QUICK = ("axes", "stale tracks")
 """Tried in the fast suite; the others in the slow one."""
 SWITCHED_OFF = {
     "stale tracks": "stale_tracks",
