@@ -97,8 +97,8 @@ def _calibrate(options: argparse.Namespace) -> int:
         ],
         title=f"vislam calibration: {dataset.sequence.name}",
     )
-    ratios = [run.nis.sum() / max(run.dof.sum(), 1) for run in (result.before, result.after)]
-    terminal.note(f"NIS per degree of freedom: {ratios[0]:.3f} before, {ratios[1]:.3f} calibrated")
+    before, after = result.before.nis_per_dof, result.after.nis_per_dof
+    terminal.note(f"NIS per degree of freedom: {before:.3f} before, {after:.3f} calibrated")
     written = result.config
     if options.keep_bias_prior:
         prior = config.noise

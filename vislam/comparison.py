@@ -90,7 +90,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         first_pose_sigma=np.array(noise.first_pose_sigma),
         bias_mean=np.array(noise.bias_mean),
         bias_sigma=np.array(noise.bias_sigma),
-        track_noise=TrackNoise(noise.pixel_sigma_px, noise.drift_px, noise.match_px),
+        track_noise=_track_noise(config),
         gate_probability=config.gate_probability,
     )
 
@@ -98,14 +98,17 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
 def pixel_sigma(config: Config, dataset: Dataset) -> Array:
     """Standard deviation of (uL, uR, v), ``(n, 3)`` [px], for whoever takes it as independent noise."""
     sequence = dataset.sequence
-    noise = config.noise
-    disparity = sequence.z[:, 0] - sequence.z[:, 1]
+    disparity = sequence.disparity
     return independent_sigma(
-        TrackNoise(noise.pixel_sigma_px, noise.drift_px, noise.match_px),
+        _track_noise(config),
         age=sequence.age(),
         disparity=disparity,
         first_disparity=disparity[sequence.first_rows()],
     )
+
+
+def _track_noise(config: Config) -> TrackNoise:
+    return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
 
 
 def run_all(

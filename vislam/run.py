@@ -74,6 +74,11 @@ class Run:
         """Whether the estimator finished."""
         return not self.error
 
+    @property
+    def nis_per_dof(self) -> float:
+        """Normalised innovation squared a degree of freedom; 0 where nothing was fused."""
+        return float(self.nis.sum() / max(self.dof.sum(), 1))
+
     def save(self, path: Path) -> None:
         """Write the run, whole or not at all."""
         arrays, plain = {}, {}

@@ -83,11 +83,16 @@ def continuations(sequence: Sequence) -> Continuations:
     return Continuations(before, after, start)
 
 
-def predicted_steps(sequence: Sequence) -> Array:
-    """Motion ``next_T_prev (T, 4, 4)`` of the left camera into each frame by the inertial twist."""
+def inertial_steps(sequence: Sequence) -> Array:
+    """Motion ``next_T_prev (T, 4, 4)`` of the body into each frame by the inertial twist."""
     twist, _ = sequence.step_means()
     dt = np.diff(sequence.stamp, prepend=sequence.stamp[0])
-    return np.asarray(sequence.rig.cam_T_imu @ se3.exp(-twist * dt[:, None]) @ sequence.rig.imu_T_cam)
+    return se3.exp(-twist * dt[:, None])
+
+
+def predicted_steps(sequence: Sequence) -> Array:
+    """Motion ``next_T_prev (T, 4, 4)`` of the left camera into each frame by the inertial twist."""
+    return np.asarray(sequence.rig.cam_T_imu @ inertial_steps(sequence) @ sequence.rig.imu_T_cam)
 
 
 def rigid_fits(sequence: Sequence, pairs: Continuations) -> dict[int, RigidFit]:
@@ -106,7 +111,7 @@ def rigid_fits(sequence: Sequence, pairs: Continuations) -> dict[int, RigidFit]:
     """
     z = sequence.z
     points = sequence.rig.back_project(z)
-    spread = _FLOOR_PX + _SHARE * (z[:, 0] - z[:, 1])[:, None]
+    spread = _FLOOR_PX + _SHARE * sequence.disparity[:, None]
     guess = predicted_steps(sequence)
     fits = {}
     for k in np.flatnonzero(np.diff(pairs.start) >= FEWEST):

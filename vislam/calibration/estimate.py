@@ -121,7 +121,7 @@ def _calibrate(
     config: Config, chosen: list[Parameter], evaluator: Evaluator, say: Callable[[str], None]
 ) -> Calibration:
     before = _finished(evaluator.run(config))
-    current, run = config, before
+    current = config
     match = match_level(current, evaluator)
     for choice in range(1, _CHOICES + 1):
         current = MATCH.write(current, match.pixels)
@@ -142,11 +142,10 @@ def _calibrate(
         )
         current = _at(current, chosen, maximum.point)
         run = _finished(evaluator.run(current))
-        ratio = run.nis.sum() / max(run.dof.sum(), 1)
         changed = int(np.sum(run.gated != refused))
         say(
             f"choice {choice} of observations: {maximum.rounds} rounds, "
-            f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {ratio:.3f}, "
+            f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {run.nis_per_dof:.3f}, "
             f"{changed} observations changed sides"
         )
         # The level of the match was read off with the noise from before this choice.
@@ -186,7 +185,7 @@ def _levelled(
     filter that runs with it lets others pass than those, and claims too much.
     """
     for _ in range(_LEVELLINGS):
-        ratio = float(run.nis.sum() / max(run.dof.sum(), 1))
+        ratio = run.nis_per_dof
         if abs(ratio - 1.0) < _LEVEL:
             break
         scale = float(np.sqrt(ratio))

@@ -57,8 +57,7 @@ def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
 def _first_disparities(evaluator: Evaluator) -> Array:
     """Disparity of the first observation of each track, by its id [px]."""
     sequence = evaluator.dataset.sequence
-    disparity = sequence.z[:, 0] - sequence.z[:, 1]
     track, first = np.unique(sequence.track, return_index=True)
     out = np.ones(int(track.max()) + 1)
-    out[track] = disparity[first]
+    out[track] = sequence.disparity[first]
     return out

@@ -50,18 +50,6 @@ class Parameter:
         return float(np.exp(searched)) if self.logarithmic else searched
 
 
-MATCH = Parameter(
-    "noise.match_px",
-    "px",
-    lambda config: config.noise.match_px,
-    lambda config, value: replace(config, noise=replace(config.noise, match_px=value)),
-    True,
-    0.03,
-    0.02,
-)
-"""The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""
-
-
 def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> list[Parameter]:
     """List what is searched: pixel noise, side slip and heave, clock, and what else is asked for.
 
@@ -79,7 +67,7 @@ def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> lis
         _pixel("drift_px", lowest=0.005),
         _density("lateral", _LATERAL, unit="m/sqrt(s)", lowest=2e-4),
         _density("vertical", _VERTICAL, unit="m/sqrt(s)", lowest=2e-4),
-        Parameter("data.repair.clock.offset", "s", _clock, _with_clock, False, 2e-3),
+        _of_step("clock", Clock, "offset", unit="s", step=2e-3),
     ]
     if inertial:
         found += [
@@ -87,8 +75,7 @@ def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> lis
             _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
         ]
     if disparity_offset:
-        name = "data.repair.disparity_offset.pixels"
-        found.append(Parameter(name, "px", _offset, _with_offset, False, 0.02))
+        found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=0.02))
     return found
 
 
@@ -118,21 +105,21 @@ def _changed(noise: NoiseConfig, values: dict[str, Any]) -> NoiseConfig:
     return replace(noise, **values)
 
 
-def _clock(config: Config) -> float:
-    clock = config.data.repair.clock
-    return 0.0 if clock is None else clock.offset
+def _of_step(
+    name: str, kind: type[Clock | DisparityOffset], option: str, *, unit: str, step: float
+) -> Parameter:
+    """Offset that a repair step takes out; 0 where the step is off."""
+
+    def read(config: Config) -> float:
+        found = getattr(config.data.repair, name)
+        return 0.0 if found is None else float(getattr(found, option))
+
+    def write(config: Config, value: float) -> Config:
+        changed: dict[str, Any] = {name: kind(**{option: value})}
+        return replace(config, data=replace(config.data, repair=replace(config.data.repair, **changed)))
+
+    return Parameter(f"data.repair.{name}.{option}", unit, read, write, False, step)
 
 
-def _with_clock(config: Config, value: float) -> Config:
-    steps = replace(config.data.repair, clock=Clock(offset=value))
-    return replace(config, data=replace(config.data, repair=steps))
-
-
-def _offset(config: Config) -> float:
-    offset = config.data.repair.disparity_offset
-    return 0.0 if offset is None else offset.pixels
-
-
-def _with_offset(config: Config, value: float) -> Config:
-    steps = replace(config.data.repair, disparity_offset=DisparityOffset(pixels=value))
-    return replace(config, data=replace(config.data, repair=steps))
+MATCH = _pixel("match_px", lowest=0.02)
+"""The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""

@@ -147,6 +147,11 @@ class Sequence:
         """Stereo measurements (uL, uR, v), ``(n, 3)`` [px]."""
         return stereo_triples(self.pixels)
 
+    @property
+    def disparity(self) -> Array:
+        """Disparities uL - uR, ``(n,)`` [px]."""
+        return self.pixels[:, 0] - self.pixels[:, 2]
+
     def select(self, keep: BoolArray, **counts: int) -> "Sequence":
         """Return the sequence with the observations of the mask ``(n,)`` only, adding to the counts."""
         lengths = np.bincount(self.frame_of[keep], minlength=len(self))

@@ -46,7 +46,8 @@ class EkfEstimator:
 
     def __init__(self, problem: Problem, options: EkfOptions) -> None:
         self._problem = problem
-        self._track_noise = problem.track_noise if options.track_errors == "states" else None
+        self._independent = options.track_errors == "independent"
+        self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
         self.state = JointState(
             pose_sigma=problem.first_pose_sigma, bias=problem.bias_mean, bias_sigma=problem.bias_sigma
@@ -133,8 +134,7 @@ class EkfEstimator:
         landmarks, by_pose, by_measurement = measurement.initialise(
             self._problem.rig, self.state.world_T_imu, frame.z[new]
         )
-        noise = TrackNoise(0.0, 0.0, 0.0) if self._track_noise is None else self._track_noise
-        match = noise.match_sigma(frame.z[new, 0] - frame.z[new, 1])
+        match = self._track_noise.match_sigma(frame.z[new, 0] - frame.z[new, 1])
         self.state.augment(
             frame.track[new],
             landmarks,
@@ -145,23 +145,17 @@ class EkfEstimator:
 
     def _variance(self, frame: Frame) -> Array:
         """Variances ``(n, 3)`` [px^2] of the white noise of a frame's measurements."""
-        if self._track_noise is None:
+        if self._independent:
             return frame.sigma**2
         return np.broadcast_to(self._track_noise.sigma**2, frame.z.shape)
 
     def _drift(self) -> None:
         """Let the tracks in view drift on by a frame."""
-        if self._track_noise is None or self._track_noise.drift == 0.0:
+        drift = self._track_noise.drift
+        if drift == 0.0:
             return
-        state = self.state
-        self.state.wander(
-            measurement.drift_cov(
-                self._problem.rig,
-                state.world_T_imu,
-                state.landmarks[:, :3],
-                drift=self._track_noise.drift,
-            )
-        )
+        rig, state = self._problem.rig, self.state
+        state.wander(measurement.drift_cov(rig, state.world_T_imu, state.landmarks[:, :3], drift=drift))
 
     def _retire(self, seen: BoolArray) -> None:
         if seen.all() and self._finished:

@@ -28,9 +28,8 @@ class JointState:
 
     def landmark_cov(self) -> Array:
         """Marginal covariances of the landmarks' points, ``(n, 3, 3)`` [m^2]."""
-        n = len(self.track)
-        blocks = self.cov[NAV:, NAV:].reshape(n, LANDMARK, n, LANDMARK)
-        return np.array(blocks[np.arange(n), :3, np.arange(n), :3])
+        each = np.arange(len(self.track))
+        return np.array(self._blocks()[each, :3, each, :3])
 
     def match_variance(self) -> Array:
         """Variances of the landmarks' match errors, ``(n,)``."""
@@ -45,9 +44,8 @@ class JointState:
 
     def wander(self, noise: Array) -> None:
         """Let the landmarks' points walk by steps of covariance ``(n, 3, 3)`` [m^2]: their tracks drift."""
-        n = len(self.track)
-        blocks = self.cov[NAV:, NAV:].reshape(n, LANDMARK, n, LANDMARK)
-        blocks[np.arange(n), :3, np.arange(n), :3] += noise
+        each = np.arange(len(self.track))
+        self._blocks()[each, :3, each, :3] += noise
 
     def update(self, cross: Array, innovation_cov: Array, innovation: Array) -> tuple[float, float]:
         """Kalman update (eq. 29) from ``P H^T (d, m)``, ``S (m, m)`` and the innovation ``(m,)``.
@@ -117,3 +115,8 @@ class JointState:
         self.world_T_imu = se3.retract(self.world_T_imu, error[POSE])
         self.bias = self.bias + error[BIAS]
         self.landmarks = self.landmarks + error[NAV:].reshape(-1, LANDMARK)
+
+    def _blocks(self) -> Array:
+        """View ``(n, 4, n, 4)`` of the landmarks' part of the covariance."""
+        n = len(self.track)
+        return self.cov[NAV:, NAV:].reshape(n, LANDMARK, n, LANDMARK)

@@ -115,7 +115,7 @@ def _of_itself(run: Run) -> list[Metric]:
         Metric(run.name, "height_end", float(run.world_T_imu[-1, 2, 3]), "m"),
     ]
     if run.dof.sum() > 0:
-        metrics.append(Metric(run.name, "nis_per_dof", float(run.nis.sum() / run.dof.sum()), "1"))
+        metrics.append(Metric(run.name, "nis_per_dof", run.nis_per_dof, "1"))
     for key, percentile in _SPEED_KEYS.items():
         metrics.append(Metric(run.name, key, float(1e3 * np.percentile(run.step_time, percentile)), "ms"))
     late = run.counts.get("observations_used_late", 0)

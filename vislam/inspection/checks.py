@@ -65,8 +65,8 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     """Check what takes the camera's own motion to see."""
     repair, noise = config.data.repair, config.noise
     # The rates of turn tell the clock under almost any reading of the mounting, and the mounting asks for the
-    # clock: so the mounting is read twice.
-    _, reading, _ = mounting.check_mounting(cut, repair)
+    # clock: where that has to move, the mounting is read again.
+    mount, reading, series = mounting.check_mounting(cut, repair)
     voted = Consensus().apply(mounting.mounted(cut, reading))
     agreed = SingleSightings().apply(voted)
     pairs = continuations(agreed)
@@ -78,11 +78,11 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     clock = book.enter(*motion.check_clock(agreed, motion.vision_steps(agreed, fits), repair))
     if clock.verdict == "fault":
         cut = Clock(offset=clock.measured[0].value).apply(cut)
-    mount, reading, series = mounting.check_mounting(cut, repair)
+        mount, reading, series = mounting.check_mounting(cut, repair)
     book.enter(mount, series)
     timed = replace(agreed, rig=mounting.mounted(cut, reading).rig, clock_offset=cut.clock_offset)
     steps = motion.vision_steps(timed, fits)
-    third = book.enter(*motion.check_third_component(timed, steps, repair))
+    third = book.enter(motion.check_third_component(timed, steps, repair))
     if (repair.levelled_velocity is None) == (third.verdict == "fault"):
         timed = LevelledVelocity().apply(timed)
     book.enter(motion.check_biases(timed, steps, bias_sigma=noise.bias_sigma))

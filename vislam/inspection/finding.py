@@ -26,6 +26,11 @@ class Measured:
     low: float
     high: float
 
+    @classmethod
+    def around(cls, name: str, unit: str, value: float, *, sigma: float) -> "Measured":
+        """Value with the interval of a standard deviation."""
+        return cls(name, unit, value, value - 1.96 * sigma, value + 1.96 * sigma)
+
     @property
     def sigma(self) -> float:
         """Standard deviation that the interval stands for."""
@@ -81,6 +86,14 @@ class Inspection:
         return {path: value for finding in self.findings for path, value in finding.proposal.items()}
 
 
+def jackknife(left_out: Array) -> Array:
+    """Standard deviation of an estimate from its values with one block left out at a time, ``(b, ...)``.
+
+    It tells how much one part of the drive decides.
+    """
+    return np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+
+
 def robust_mean(values: Array, *, name: str, unit: str, blocks: int = 20) -> Measured:
     """Median of a time series with an interval that survives correlation: medians of successive blocks.
 
@@ -98,7 +111,7 @@ def robust_mean(values: Array, *, name: str, unit: str, blocks: int = 20) -> Mea
     # A median of medians is less efficient than a mean of them; blocks are few, so the mean it is.
     centre = float(np.median(values))
     error = 1.2 * float(np.std(parts, ddof=1)) / np.sqrt(len(parts))
-    return Measured(name, unit, centre, centre - 1.96 * error, centre + 1.96 * error)
+    return Measured.around(name, unit, centre, sigma=error)
 
 
 def robust_sigma(values: Array, *, name: str, unit: str, blocks: int = 20) -> Measured:

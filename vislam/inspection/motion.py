@@ -6,7 +6,7 @@ import numpy as np
 
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3
-from vislam.inspection.finding import Finding, Measured, robust_mean, robust_sigma
+from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean, robust_sigma
 from vislam.repair import RepairConfig
 from vislam.types import Array, IntArray
 from vislam.vision import RigidFit
@@ -68,11 +68,9 @@ def check_clock(
     cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in _LAGS_S])
     blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
     whole = _lowest(cost.mean(axis=1))
-    # Leaving out a block at a time tells how much one part of the drive decides (jackknife).
     left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
-    error = float(np.sqrt((len(blocks) - 1) * np.mean((left_out - left_out.mean()) ** 2)))
-    error = float(np.hypot(error, _CLOCK_FLOOR_S))
-    measured = Measured("clock offset", "s", whole, whole - 1.96 * error, whole + 1.96 * error)
+    error = float(np.hypot(jackknife(left_out), _CLOCK_FLOOR_S))
+    measured = Measured.around("clock offset", "s", whole, sigma=error)
     series = {"clock_lag": _LAGS_S, "clock_cost": cost.mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
@@ -160,9 +158,7 @@ def check_inertial_noise(sequence: Sequence, *, density: tuple[float, ...]) -> F
     return Finding("inertial noise", "ok", text, measured)
 
 
-def check_third_component(
-    sequence: Sequence, steps: VisionSteps, repair: RepairConfig
-) -> tuple[Finding, dict[str, Array]]:
+def check_third_component(sequence: Sequence, steps: VisionSteps, repair: RepairConfig) -> Finding:
     """Whether the third velocity component is the body's own, as the camera sees it, or the climb rate.
 
     Parameters
@@ -178,24 +174,23 @@ def check_third_component(
     reliable = max(0.0, 1.0 - 0.5 * noise**2 / variance) if variance > 0 else 0.0
     slope = _slope(recorded, seen, forward=means[steps.frame, 3], reliable=reliable)
     climbed = np.trapezoid(sequence.twist[:, 5], sequence.inertial_stamp)
-    series = {"third_recorded": recorded, "third_seen": seen}
     told = f"the camera sees {slope} of the third velocity component in the body's own z"
     counts = {"climb_m": float(climbed), "reliable_share": reliable}
     levelled = repair.levelled_velocity is not None
     if reliable < _RELIABLE or slope.sigma > 0.2:
         text = f"cannot tell body from levelled velocity: {100 * (1 - reliable):.0f} % of it is noise, {told}"
-        return Finding("third velocity component", "unclear", text, (slope,), counts), series
+        return Finding("third velocity component", "unclear", text, (slope,), counts)
     if slope.value < 0.5:
         text = f"{told}: it is the climb rate, its integral gives {climbed:+.1f} m of height"
         if levelled:
-            return Finding("third velocity component", "ok", text, (slope,), counts), series
+            return Finding("third velocity component", "ok", text, (slope,), counts)
         proposal = {"data.repair.levelled_velocity": True}
-        return Finding("third velocity component", "fault", text, (slope,), counts, proposal), series
+        return Finding("third velocity component", "fault", text, (slope,), counts, proposal)
     text = f"{told}: it is the body's own"
     if not levelled:
-        return Finding("third velocity component", "ok", text, (slope,), counts), series
+        return Finding("third velocity component", "ok", text, (slope,), counts)
     proposal = {"data.repair.levelled_velocity": False}
-    return Finding("third velocity component", "fault", text, (slope,), counts, proposal), series
+    return Finding("third velocity component", "fault", text, (slope,), counts, proposal)
 
 
 def _slope(recorded: Array, seen: Array, *, forward: Array, reliable: float) -> Measured:
@@ -214,5 +209,4 @@ def _slope(recorded: Array, seen: Array, *, forward: Array, reliable: float) -> 
     everything = np.arange(len(recorded))
     whole = fit(everything)
     left_out = np.array([fit(np.setdiff1d(everything, part)) for part in parts if len(part)])
-    error = float(np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean()) ** 2)))
-    return Measured("share", "", whole, whole - 1.96 * error, whole + 1.96 * error)
+    return Measured.around("share", "", whole, sigma=float(jackknife(left_out)))

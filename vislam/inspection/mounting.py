@@ -11,7 +11,7 @@ from vislam.inspection.finding import Finding
 from vislam.repair import RepairConfig
 from vislam.repair.mounting import Axes, Extrinsic, Reading, axes_rotation
 from vislam.types import Array
-from vislam.vision import continuations
+from vislam.vision import continuations, inertial_steps
 
 _PAIRS = 12_000
 _BLOCK = 10
@@ -162,7 +162,7 @@ class _Sample:
     def __init__(self, sequence: Sequence) -> None:
         pairs = continuations(sequence)
         z = sequence.z
-        near = np.flatnonzero(z[pairs.before, 0] - z[pairs.before, 1] > _SMALLEST_DISPARITY)
+        near = np.flatnonzero(sequence.disparity[pairs.before] > _SMALLEST_DISPARITY)
         chosen = near[:: max(1, len(near) // _PAIRS)]
         before, after = pairs.before[chosen], pairs.after[chosen]
         self._sequence = sequence
@@ -171,14 +171,12 @@ class _Sample:
         # Pairs come frame after frame, so the medians of frames are those of slices.
         self._frame = sequence.frame_of[after]
         self._edges = np.searchsorted(self._frame, np.arange(len(sequence) + 1))
-        twist, _ = sequence.step_means()
-        dt = np.diff(sequence.stamp, prepend=sequence.stamp[0])
-        self._prev_T_next = se3.exp(-twist * dt[:, None])
+        self._next_T_prev = inertial_steps(sequence)
 
     def frame_errors(self, candidate: Candidate) -> Array:
         """Median error ``(T,)`` [px] of each frame predicted from the one before; NaN without tracks."""
         rig = mounted(self._sequence, candidate).rig
-        step = rig.cam_T_imu @ self._prev_T_next @ rig.imu_T_cam
+        step = rig.cam_T_imu @ self._next_T_prev @ rig.imu_T_cam
         moved = se3.transform(step[self._frame], self._points[:, None])[:, 0]
         behind = moved[:, 2] < _NEAREST
         moved[:, 2] = np.maximum(moved[:, 2], _NEAREST)

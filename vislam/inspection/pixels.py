@@ -20,10 +20,9 @@ def check_pixel_noise(
 
     Rows, because columns hold the flow and with it the error of the depth.
     """
-    spread = np.array([_row_residuals(sequence, fits, span) for span in _SPANS], dtype=object)
     sigmas = [
-        robust_sigma(np.asarray(part, float), name=f"span {span}", unit="px")
-        for span, part in zip(_SPANS, spread, strict=True)
+        robust_sigma(np.array(_row_residuals(sequence, fits, span)), name=f"span {span}", unit="px")
+        for span in _SPANS
     ]
     variance = np.array([item.value**2 for item in sigmas])
     error = np.array([2.0 * item.value * max(item.sigma, 1e-4) for item in sigmas])
@@ -67,8 +66,10 @@ def check_moving(voted: Sequence, *, consensus: bool) -> Finding:
 def _row_residuals(sequence: Sequence, fits: dict[int, RigidFit], span: int) -> list[float]:
     """Row residuals [px] of tracks against their observation ``span`` frames before, by the chained fits."""
     z, frame, track = sequence.z, sequence.frame_of, sequence.track
-    key = frame * (int(track.max(initial=0)) + 1) + track
+    tracks = int(track.max(initial=0)) + 1
+    key = frame * tracks + track
     order = np.argsort(key)
+    key = key[order]
     out: list[float] = []
     for k in range(span, len(sequence), max(1, span // 2)):
         if any(j not in fits for j in range(k - span + 1, k + 1)):
@@ -77,9 +78,9 @@ def _row_residuals(sequence: Sequence, fits: dict[int, RigidFit], span: int) -> 
         for j in range(k - span + 1, k + 1):
             motion = fits[j].next_T_prev @ motion
         now = np.arange(sequence.offset[k], sequence.offset[k + 1])
-        wanted = (k - span) * (int(track.max(initial=0)) + 1) + track[now]
-        at = np.clip(np.searchsorted(key[order], wanted), 0, len(order) - 1)
-        there = key[order][at] == wanted
+        wanted = (k - span) * tracks + track[now]
+        at = np.clip(np.searchsorted(key, wanted), 0, len(order) - 1)
+        there = key[at] == wanted
         old, new = order[at[there]], now[there]
         if len(old) < 6:
             continue

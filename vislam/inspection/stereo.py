@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.data.sequence import Sequence
-from vislam.inspection.finding import Finding, Measured
+from vislam.inspection.finding import Finding, Measured, jackknife
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
 from vislam.types import Array
@@ -104,7 +104,7 @@ def check_stereo(sequence: Sequence, repair: RepairConfig) -> tuple[list[Finding
     offset += told.left[1] / gain
     scale, error = told.left[0], told.error / np.array([1.0, gain])
     measured = [
-        Measured(name, unit, float(value), float(value - 1.96 * one), float(value + 1.96 * one))
+        Measured.around(name, unit, float(value), sigma=float(one))
         for name, unit, value, one in zip(
             ("camera's way over inertial way", "disparity offset"),
             ("", "px"),
@@ -130,8 +130,7 @@ class _Told:
 def _told(sequence: Sequence, offset: float) -> _Told | None:
     """What the tracks tell once an offset is taken out of the disparities; None if too few tell anything."""
     moved = DisparityOffset(pixels=offset).apply(sequence)
-    disparity = moved.z[:, 0] - moved.z[:, 1]
-    moved = moved.select(disparity > _SMALLEST_DISPARITY_PX)
+    moved = moved.select(moved.disparity > _SMALLEST_DISPARITY_PX)
     pairs = continuations(moved)
     seen = ways(moved, pairs, rigid_fits(moved, pairs))
     whole, centres, medians = _fit(seen.disparity, seen.ratio)
@@ -141,8 +140,7 @@ def _told(sequence: Sequence, offset: float) -> _Told | None:
     parts = np.clip(np.searchsorted(edges, seen.frame, side="right") - 1, 0, _BLOCKS - 1)
     fits = [_fit(seen.disparity[parts != part], seen.ratio[parts != part])[0] for part in range(_BLOCKS)]
     left_out = np.array([fit for fit in fits if fit is not None])
-    error = np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    return _Told(whole, error, centres, medians)
+    return _Told(whole, jackknife(left_out), centres, medians)
 
 
 def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:

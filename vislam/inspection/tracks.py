@@ -69,7 +69,7 @@ def check_observations(sequence: Sequence, repair: RepairConfig) -> Finding:
     """Disparities, rows and columns that cannot be, as the file has them."""
     pixels = sequence.pixels
     total = max(len(pixels), 1)
-    disparity = pixels[:, 0] - pixels[:, 2]
+    disparity = sequence.disparity
     rows = np.abs(pixels[:, 1] - pixels[:, 3])
     width, height = 2.0 * sequence.rig.cx, 2.0 * sequence.rig.cy
     outside = (pixels[:, [0, 2]] < 0).any(axis=1) | (pixels[:, [0, 2]] > 1.2 * width).any(axis=1)

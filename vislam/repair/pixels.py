@@ -39,7 +39,7 @@ class Disparity:
     def apply(self, sequence: Sequence) -> Sequence:
         """Drop them."""
         pixels = sequence.pixels
-        disparity = pixels[:, 0] - pixels[:, 2]
+        disparity = sequence.disparity
         rows_differ = np.abs(pixels[:, 1] - pixels[:, 3]) > self.row_difference_px
         impossible = ~rows_differ & (disparity <= 0)
         possible = ~rows_differ & ~impossible
