@@ -58,4 +58,4 @@ class DeadReckoning:
 
     def finalize(self) -> Estimate:
         """Return the poses; there is no map."""
-        return Estimate(np.array(self._poses), np.empty(0, np.int64), np.empty((0, 3)), None, {})
+        return Estimate(np.array(self._poses), None, np.empty(0, np.int64), np.empty((0, 3)), None, {})

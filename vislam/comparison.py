@@ -18,8 +18,8 @@ from vislam import estimator
 from vislam.config import Config
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.data.source import Dataset, open_dataset
-from vislam.errors import DataError
-from vislam.estimator import Estimator, Problem
+from vislam.errors import ConfigError, DataError
+from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation import Evaluation, evaluate
 from vislam.files import replace_whole
 from vislam.motion import MotionNoise
@@ -82,8 +82,13 @@ def compare(
 
 
 def make_problem(config: Config, dataset: Dataset) -> Problem:
-    """Build the problem that all estimators are given."""
+    """Build the problem that all estimators are given; ConfigError if the data lack what it is to use."""
     noise = config.noise
+    if noise.climb is not None and not np.isfinite(dataset.sequence.climb_rate).any():
+        raise ConfigError(
+            f"noise.climb: {dataset.sequence.name} has no climb rate; set it to null, or switch "
+            "data.repair.levelled_velocity on if the third velocity component is one"
+        )
     return Problem(
         rig=dataset.sequence.rig,
         noise=MotionNoise(np.array(noise.twist_density), np.array(noise.bias_walk)),
@@ -92,6 +97,9 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         bias_sigma=np.array(noise.bias_sigma),
         track_noise=_track_noise(config),
         gate_probability=config.gate_probability,
+        clock_sigma=noise.clock_sigma,
+        disparity_offset_sigma=noise.disparity_offset_sigma_px,
+        climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
     )
 
 

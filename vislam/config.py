@@ -107,6 +107,16 @@ Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, Non
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ClimbConfig:
+    """The climb rate as a measurement against gravity."""
+
+    walk: Positive = 0.02
+    """Random walk of the error of its integral [m/sqrt(s)]."""
+    tilt_sigma: Positive = 0.05
+    """Prior standard deviation of the turn of the first pose's z axis against the vertical [rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class NoiseConfig:
     """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
 
@@ -126,6 +136,13 @@ class NoiseConfig:
     """Random walk of its bias [rad/s/sqrt(s), m/s/sqrt(s)]."""
     first_pose_sigma: Six = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
     """Prior standard deviation of the first pose [rad, m]; it fixes the gauge."""
+    clock_sigma: NonNegative = 0.0
+    """Prior standard deviation of what is left of the clock offset after ``repair.clock`` [s]; 0: nothing is,
+    and it is not estimated."""
+    disparity_offset_sigma_px: NonNegative = 0.0
+    """The same of a constant error of all disparities after ``repair.disparity_offset`` [px]."""
+    climb: ClimbConfig | None = None
+    """How the climb rate is used; null: it is not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

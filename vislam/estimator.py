@@ -21,6 +21,22 @@ GROUP = "vislam.estimators"
 
 
 @dataclass(frozen=True)
+class ClimbNoise:
+    """How the climb rate is taken as a measurement.
+
+    Attributes
+    ----------
+    walk : float
+        Random walk of the error of its integral [m/sqrt(s)].
+    tilt_sigma : float
+        Prior standard deviation of the turn of the first pose's z axis against the vertical [rad].
+    """
+
+    walk: float
+    tilt_sigma: float
+
+
+@dataclass(frozen=True)
 class Problem:
     """What every estimator is built from: models, noise and prior, no data.
 
@@ -36,6 +52,12 @@ class Problem:
         What the pixels of a track are off by.
     gate_probability : float
         Share of good observations that a chi-square gate lets pass.
+    clock_sigma : float
+        Prior standard deviation of the inertial stamps' further offset from the camera's [s]; 0: known.
+    disparity_offset_sigma : float
+        Prior standard deviation of a constant error of all disparities [px]; 0: known.
+    climb : ClimbNoise or None
+        None: the climb rate is not used.
     """
 
     rig: StereoRig
@@ -45,6 +67,9 @@ class Problem:
     bias_sigma: Array
     track_noise: TrackNoise
     gate_probability: float
+    clock_sigma: float = 0.0
+    disparity_offset_sigma: float = 0.0
+    climb: ClimbNoise | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +111,8 @@ class Estimate:
     Attributes
     ----------
     world_T_imu : (T, 4, 4)
+    pose_cov : (T, 6, 6) or None
+        Covariances of these poses, on the right; None if unknown, or if the poses are the causal ones.
     track : (m,)
         Ids of the landmarks.
     points_world : (m, 3)
@@ -97,6 +124,7 @@ class Estimate:
     """
 
     world_T_imu: Array
+    pose_cov: Array | None
     track: IntArray
     points_world: Array
     points_cov: Array | None
@@ -177,15 +205,21 @@ def run(
             error = f"frame {len(records)}: {type(failure).__name__}: {text}"
         total = time.perf_counter() - started
     causal = np.array([record.world_T_imu for record in records]).reshape(-1, 4, 4)
+    causal_cov = _stack([record.pose_cov for record in records], (6, 6))
+    poses, pose_cov = causal, causal_cov
+    if estimate is not None and not np.array_equal(estimate.world_T_imu, causal):
+        poses = estimate.world_T_imu
+        pose_cov = np.full_like(causal_cov, np.nan) if estimate.pose_cov is None else estimate.pose_cov
     done = len(records)
     return Run(
         name=name,
         error=error,
         frames_expected=len(sequence),
         stamp=np.array(sequence.stamp[:done]),
-        world_T_imu=causal if estimate is None else estimate.world_T_imu,
+        world_T_imu=poses,
         world_T_imu_causal=causal,
-        pose_cov=_stack([record.pose_cov for record in records], (6, 6)),
+        pose_cov=pose_cov,
+        pose_cov_causal=causal_cov,
         bias=_stack([record.bias for record in records], (6,)),
         bias_sigma=_stack([record.bias_sigma for record in records], (6,)),
         nis=np.array([record.nis for record in records]),

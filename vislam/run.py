@@ -25,8 +25,8 @@ class Run:
         Camera times of the frames it finished [s].
     world_T_imu, world_T_imu_causal : (T, 4, 4)
         Poses as known in the end, and as known at their own time.
-    pose_cov : (T, 6, 6)
-        Covariance of the causal pose, on its right; NaN where not given.
+    pose_cov, pose_cov_causal : (T, 6, 6)
+        Covariances of these poses, on their right; NaN where not given.
     bias, bias_sigma : (T, 6)
         Twist bias at each time and its standard deviation [rad/s, m/s]; NaN where not given.
     nis, dof : (T,)
@@ -54,6 +54,7 @@ class Run:
     world_T_imu: Array
     world_T_imu_causal: Array
     pose_cov: Array
+    pose_cov_causal: Array
     bias: Array
     bias_sigma: Array
     nis: Array

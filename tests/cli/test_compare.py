@@ -259,7 +259,7 @@ BAD_CONFIGS = {
     "not YAML": ("a: [1\n", "not a YAML file"),
     "unknown estimator": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {ukf: {}}\n",
-        "estimators.ukf: no such estimator; installed are dead_reckoning, ekf, isam2",
+        "estimators.ukf: no such estimator; installed are dead_reckoning, ekf, ekf_fej",
     ),
     "unknown option": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {isam2: {lag: 3}}\n",

@@ -9,14 +9,18 @@ from tests.conftest import from_first
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.ekf import EkfEstimator, EkfOptions, chart
 from vislam.ekf.dense import DenseFilter
+from vislam.ekf.layout import NAV
+from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.state import JointState
 from vislam.errors import DivergedError
 from vislam.estimator import run
+from vislam.motion import BIAS
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.run import Run
+from vislam.sensors import StereoRig
 from vislam.simulation import SimulationConfig
 
 
@@ -32,7 +36,7 @@ def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
         record = working.process(frame, np.zeros(len(frame.track), bool))
         dense.process(frame)
         assert np.allclose(record.world_T_imu, dense.world_T_imu, atol=1e-9)
-        assert np.allclose(working.state.bias, dense.bias, atol=1e-9)
+        assert np.allclose(working.state.nav[BIAS], dense.bias, atol=1e-9)
         # Relative to the variances: the dense filter loses symmetry in the last digits.
         assert np.allclose(record.pose_cov, dense.cov[:6, :6], rtol=1e-6, atol=1e-13)
     assert frame.k == len(short.sequence) - 1
@@ -48,7 +52,9 @@ def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config:
     assert len(slots) > 5
     assert np.allclose(working.state.landmarks, dense.landmarks[slots], atol=1e-8)
     rows = np.concatenate([np.arange(12), *(12 + 4 * slot + np.arange(4) for slot in slots)])
-    assert np.allclose(working.state.cov, dense.cov[np.ix_(rows, rows)], rtol=1e-6, atol=1e-10)
+    own = np.concatenate([np.arange(12), np.arange(NAV, len(working.state.cov))])
+    cov = working.state.cov[np.ix_(own, own)]
+    assert np.allclose(cov, dense.cov[np.ix_(rows, rows)], rtol=1e-6, atol=1e-10)
 
 
 def test_without_noise_it_ends_at_the_truth(short_config: Config):
@@ -98,10 +104,16 @@ def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
     assert abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / result.dof.sum()) + 0.03
 
 
-def test_a_lost_covariance_raises():
-    state = JointState(pose_sigma=np.ones(6), bias=np.zeros(6), bias_sigma=np.ones(6))
-    with pytest.raises(DivergedError, match="smallest eigenvalue -1"):
-        state.update(np.zeros((12, 3)), -np.eye(3), np.zeros(3))
+def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
+    size = NAV
+    jacobian = Jacobian(np.eye(3, size), np.empty((0, 3, 4)), np.empty(0, np.int64))
+    projected = -np.eye(3, size)
+    with pytest.raises(DivergedError, match="smallest eigenvalue of H P H' is -1"):
+        Update.of(jacobian, projected, -np.eye(3), np.zeros(3))
+    camera_free = chart.make("point", StereoRig(1.0, 1.0, 0.0, 0.0, 1.0, np.eye(4)))
+    state = JointState(camera_free, "standard", nav=np.zeros(size), sigma=np.full(size, 0.5))
+    with pytest.raises(DivergedError, match=r"covariance lost, smallest eigenvalue -0\.75"):
+        state.correct(Update.of(jacobian, np.eye(3, size), np.eye(3), np.zeros(3)))
 
 
 def test_without_drift_and_match_error_both_ways_of_taking_them_are_one(short: Dataset, short_config: Config):

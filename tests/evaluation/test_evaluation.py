@@ -32,6 +32,7 @@ def made_run(name, pose, **values):
         "world_T_imu": pose,
         "world_T_imu_causal": pose,
         "pose_cov": np.full((frames, 6, 6), np.nan),
+        "pose_cov_causal": np.full((frames, 6, 6), np.nan),
         "bias": np.zeros((frames, 6)),
         "bias_sigma": np.zeros((frames, 6)),
         "nis": np.zeros(frames),

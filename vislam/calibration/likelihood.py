@@ -19,6 +19,9 @@ from vislam.repair.pixels import DisparityOffset
 from vislam.run import Run
 from vislam.types import Array, BoolArray, IntArray
 
+_OPTIONS = EkfOptions(finished="as_left")
+"""The standard filter, without the way back: only innovations are wanted."""
+
 
 @dataclass(frozen=True)
 class Evaluator:
@@ -44,7 +47,7 @@ class Evaluator:
     def match_errors(self, config: Config) -> tuple[IntArray, Array, Array]:
         """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
         dataset = self._moved(config)
-        solver = EkfEstimator(make_problem(config, dataset), EkfOptions())
+        solver = EkfEstimator(make_problem(config, dataset), _OPTIONS)
         _run(solver, dataset, config, None)
         return solver.match_errors()
 
@@ -84,7 +87,7 @@ def first_frames(sequence: Sequence, frames: int) -> Sequence:
 
 
 def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
-    solver = EkfEstimator(make_problem(config, dataset), EkfOptions(gate=refused is None))
+    solver = EkfEstimator(make_problem(config, dataset), replace(_OPTIONS, gate=refused is None))
     return _run(solver, dataset, config, refused)
 
 

@@ -27,6 +27,8 @@ class Frame:
         Time since the frame before [s]; 0 for the first.
     twist : (6,)
         Mean inertial twist (omega, v) over the step that ends here, body frame [rad/s, m/s].
+    twist_change : (6,)
+        Twist at this frame less that at the frame before; 0 for the first.
     climb_rate : float
         Mean climb rate over that step [m/s]; NaN where the recording has none.
     track : (n,)
@@ -41,6 +43,7 @@ class Frame:
     stamp: float
     dt: float
     twist: Array
+    twist_change: Array
     climb_rate: float
     track: IntArray
     z: Array
@@ -178,6 +181,9 @@ class Sequence:
         """Frames in order; ``sigma (n, 3)`` [px] is the noise of each observation."""
         z = self.z
         twist, climb = self.step_means()
+        at = self.stamp + self.clock_offset
+        at_frame = np.column_stack([np.interp(at, self.inertial_stamp, axis) for axis in self.twist.T])
+        change = np.diff(at_frame, axis=0, prepend=at_frame[:1])
         dt = np.diff(self.stamp, prepend=self.stamp[0])
         for k in range(len(self)):
             rows = slice(self.offset[k], self.offset[k + 1])
@@ -186,6 +192,7 @@ class Sequence:
                 stamp=float(self.stamp[k]),
                 dt=float(dt[k]),
                 twist=twist[k],
+                twist_change=change[k],
                 climb_rate=float(climb[k]),
                 track=self.track[rows],
                 z=z[rows],

@@ -1,5 +1,7 @@
-"""The EKF SLAM of the report's section III-D, with a bias state and landmarks only while tracked."""
+"""The EKF SLAM of the report's section III-D and its family: small at each step, exact for each landmark."""
 
-from vislam.ekf.filter import EkfEstimator, EkfOptions, build
+from vislam.ekf.family import MEMBERS, build
+from vislam.ekf.filter import EkfEstimator
+from vislam.ekf.options import EkfOptions
 
-__all__ = ["EkfEstimator", "EkfOptions", "build"]
+__all__ = ["MEMBERS", "EkfEstimator", "EkfOptions", "build"]

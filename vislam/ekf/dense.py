@@ -9,8 +9,10 @@ import numpy as np
 
 from vislam import motion
 from vislam.data.sequence import Frame
-from vislam.ekf import measurement
-from vislam.ekf.state import LANDMARK
+from vislam.ekf import chart
+from vislam.ekf.layout import LANDMARK
+from vislam.ekf.measurement import Camera
+from vislam.ekf.state import ErrorForm
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import BIAS, NAV, POSE
@@ -18,30 +20,60 @@ from vislam.types import Array
 
 
 class DenseFilter:
-    """Joint EKF that keeps every landmark for ever and gates nothing.
+    """Joint EKF that keeps every landmark for ever, if asked every pose as well, and gates nothing.
 
     Attributes
     ----------
     world_T_imu : (4, 4)
     bias : (6,)
-    landmarks : (m, 4)
-        All landmarks so far (point and error of its match), in the order of ``track``.
-    cov : (12 + 4m, 12 + 4m)
-        Covariance of (pose, bias, landmarks).
+    track : list of int
+        All landmarks so far.
+    anchors, landmarks : (m, 4, 4), (m, 4)
+        In the order of ``track``; a landmark is its coordinates and the error of its match.
+    past : list of (4, 4)
+        Poses at the frames, each corrected by what came later; empty unless asked for.
+    cov : (d, d)
+        Covariance of pose, bias, and then what :attr:`place` says.
+    place : dict
+        Where in ``cov`` a landmark ``("landmark", track)`` or a past pose ``("pose", k)`` stands.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        error: ErrorForm = "standard",
+        landmarks: chart.Coordinates = "point",
+        keep_poses: bool = False,
+    ) -> None:
         self._problem = problem
+        self._camera = Camera(problem.rig, chart.make(landmarks, problem.rig))
+        self._form = error
+        self._keep_poses = keep_poses
         self.world_T_imu = np.eye(4)
         self.bias = problem.bias_mean.copy()
         self.track: list[int] = []
+        self.anchors = np.empty((0, 4, 4))
         self.landmarks = np.empty((0, LANDMARK))
+        self._first = np.empty((0, LANDMARK))
+        self._moved_at = np.empty((0, 3))
+        self._past: list[tuple[Array, Array]] = []
         self.cov = np.diag(np.concatenate([problem.first_pose_sigma, problem.bias_sigma]) ** 2)
+        self.place: dict[tuple[str, int], slice] = {}
+
+    @property
+    def past(self) -> list[Array]:
+        """Past poses; their errors, like all errors that nothing moves, are corrected by a sum."""
+        return [se3.retract(pose, correction) for pose, correction in self._past]
 
     def process(self, frame: Frame) -> None:
         """Predict, update with all known landmarks at once, append the new ones."""
         if frame.k > 0:
             self._predict(frame)
+        seen = np.isin(self.track, frame.track)[:, None] if self.track else np.empty((0, 1), bool)
+        self._moved_at = np.where(
+            seen, np.nan, np.where(np.isnan(self._moved_at), self.landmarks[:, :3], self._moved_at)
+        )
         known = [row for row, track in enumerate(frame.track) if int(track) in self.track]
         if known:
             self._drift(frame, known)
@@ -49,8 +81,12 @@ class DenseFilter:
         for row in range(len(frame.track)):
             if int(frame.track[row]) not in self.track:
                 self._append(frame, row)
+        if self._keep_poses:
+            self._past.append((self.world_T_imu, np.zeros(6)))
+            self._grow(("pose", frame.k), np.eye(6, len(self.cov)), np.zeros((6, 6)))
 
     def _predict(self, frame: Frame) -> None:
+        """Eq. (25) with the bias added."""
         step = motion.integrate(frame.twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
         block, noise = motion.transition(step)
         transition = np.eye(len(self.cov))
@@ -61,48 +97,94 @@ class DenseFilter:
 
     def _drift(self, frame: Frame, rows: Sequence[int]) -> None:
         """Let the points of the tracks in view walk, column and row."""
-        for row in rows:
-            slot = self.track.index(int(frame.track[row]))
-            step = measurement.drift_cov(
-                self._problem.rig,
+        for slot in self._slots(frame, rows):
+            step = self._camera.drift_cov(
                 self.world_T_imu,
-                self.landmarks[slot : slot + 1, :3],
+                self.anchors[[slot]],
+                self.landmarks[[slot]],
                 drift=self._problem.track_noise.drift,
             )
-            place = slice(NAV + LANDMARK * slot, NAV + LANDMARK * slot + 3)
-            self.cov[place, place] += step[0]
+            start = self.place["landmark", self.track[slot]].start
+            self.cov[start : start + 3, start : start + 3] += step[0]
 
     def _update(self, frame: Frame, rows: Sequence[int]) -> None:
         """Eqs. (28) and (29), with the sign and the inverse that eq. (26) lacks."""
-        slots = [self.track.index(int(frame.track[row])) for row in rows]
-        found = measurement.predict(self._problem.rig, self.world_T_imu, self.landmarks[slots])
+        slots = self._slots(frame, rows)
+        anchors, landmarks = self.anchors[slots], self.landmarks[slots]
+        predicted, _ = self._camera.predict(self.world_T_imu, anchors, landmarks, offset=0.0)
+        if self._form == "first_estimates":
+            landmarks = np.column_stack([self._first[slots, :3], landmarks[:, 3]])
+        by_nav, by_landmark = self._camera.jacobians(self.world_T_imu, anchors, landmarks)
         jacobian = np.zeros((3 * len(rows), len(self.cov)))
-        for place, slot in enumerate(slots):
-            jacobian[3 * place : 3 * place + 3, POSE] = found.by_pose[place]
-            column = NAV + LANDMARK * slot
-            jacobian[3 * place : 3 * place + 3, column : column + LANDMARK] = found.by_landmark[place]
+        for i, slot in enumerate(slots):
+            three = slice(3 * i, 3 * i + 3)
+            jacobian[three, POSE] = by_nav[i][:, POSE]
+            jacobian[three, self.place["landmark", self.track[slot]]] = by_landmark[i]
         noise = np.diag(np.tile(self._problem.track_noise.sigma**2, len(rows)))
         spread = jacobian @ self.cov @ jacobian.T + noise
         gain = np.linalg.solve(spread, jacobian @ self.cov).T
-        self._retract(gain @ (frame.z[list(rows)] - found.z).ravel())
-        self.cov = (np.eye(len(self.cov)) - gain @ jacobian) @ self.cov
+        correction = gain @ (frame.z[list(rows)] - predicted).ravel()
+        # Eq. (29) in Joseph's form: as printed it loses symmetry, and with it, over a drive, everything.
+        kept = np.eye(len(self.cov)) - gain @ jacobian
+        self.cov = kept @ self.cov @ kept.T + gain @ noise @ gain.T
+        self._retract(correction)
 
     def _append(self, frame: Frame, row: int) -> None:
         """Append the landmark of eq. (20), its covariance that of pose and measurement."""
-        landmarks, by_pose, by_measurement = measurement.initialise(
-            self._problem.rig, self.world_T_imu, frame.z[row : row + 1]
-        )
-        match = self._problem.track_noise.match_sigma(frame.z[row : row + 1, 0] - frame.z[row : row + 1, 1])
-        noise = np.diag(np.concatenate([self._problem.track_noise.sigma, match]) ** 2)
+        z, noise = frame.z[[row]], self._problem.track_noise
+        anchors, landmarks, by_nav, by_measurement = self._camera.initialise(self.world_T_imu, z, offset=0.0)
+        variance = np.concatenate([noise.sigma, noise.match_sigma(z[:, 0] - z[:, 1])]) ** 2
         grow = np.zeros((LANDMARK, len(self.cov)))
-        grow[:, POSE] = by_pose[0]
-        cross = grow @ self.cov
-        own = cross @ grow.T + by_measurement[0] @ noise @ by_measurement[0].T
-        self.cov = np.block([[self.cov, cross.T], [cross, own]])
+        grow[:, POSE] = by_nav[0][:, POSE]
+        self._grow(
+            ("landmark", int(frame.track[row])),
+            grow,
+            by_measurement[0] @ np.diag(variance) @ by_measurement[0].T,
+        )
         self.track.append(int(frame.track[row]))
-        self.landmarks = np.vstack([self.landmarks, landmarks])
+        self.anchors = np.concatenate([self.anchors, anchors])
+        self.landmarks = np.concatenate([self.landmarks, landmarks])
+        self._first = np.concatenate([self._first, landmarks])
+        self._moved_at = np.concatenate([self._moved_at, np.full((1, 3), np.nan)])
+
+    def _grow(self, key: tuple[str, int], grow: Array, noise: Array) -> None:
+        """Append a block that is ``grow`` times the error, plus noise."""
+        size = len(self.cov)
+        cross = grow @ self.cov
+        self.cov = np.block([[self.cov, cross.T], [cross, cross @ grow.T + noise]])
+        self.place[key] = slice(size, size + len(grow))
 
     def _retract(self, error: Array) -> None:
-        self.world_T_imu = se3.retract(self.world_T_imu, error[POSE])
+        """Correct the mean, and let the error have the coordinates that its form gives it there."""
+        before = self.world_T_imu
+        self.world_T_imu = se3.retract(before, error[POSE])
         self.bias = self.bias + error[BIAS]
-        self.landmarks = self.landmarks + error[NAV:].reshape(-1, LANDMARK)
+        self._past = [
+            (pose, sum_ + error[self.place["pose", k]]) for k, (pose, sum_) in enumerate(self._past)
+        ]
+        own = np.array([error[self.place["landmark", track]] for track in self.track])
+        reset = np.eye(len(self.cov))
+        kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
+        if self._form == "invariant":
+            shared = self._shared(before)
+            own[:, :3] -= shared @ error[POSE]
+            self.anchors = self.world_T_imu @ se3.inverse(before) @ self.anchors
+        self.landmarks = self.landmarks + own
+        if self._form != "standard":
+            reset[POSE, POSE] = kept
+        if self._form == "invariant":
+            for track, change in zip(self.track, self._shared(self.world_T_imu) @ kept - shared, strict=True):
+                start = self.place["landmark", track].start
+                reset[start : start + 3, POSE] = change
+        self.cov = reset @ self.cov @ reset.T
+
+    def _shared(self, pose: Array) -> Array:
+        """Derivative ``(m, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose.
+
+        That of a landmark out of view is taken at its last estimate in view.
+        """
+        at = np.where(np.isnan(self._moved_at), self.landmarks[:, :3], self._moved_at)
+        return self._camera.chart.moved(at) @ se3.adjoint(se3.inverse(self.anchors) @ pose)
+
+    def _slots(self, frame: Frame, rows: Sequence[int]) -> list[int]:
+        return [self.track.index(int(frame.track[row])) for row in rows]

@@ -1,169 +1,321 @@
 """EKF SLAM, one frame at a time: retire, predict, gate, update, initialise."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from dataclasses import dataclass
 
 import numpy as np
-from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
-from vislam import config, motion
+from vislam import motion
 from vislam.data.sequence import Frame
-from vislam.ekf import measurement
+from vislam.ekf import backward, chart
+from vislam.ekf.backward import Landmarks, Recorder, Smoothed
+from vislam.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
+from vislam.ekf.linear import Jacobian, Update
+from vislam.ekf.measurement import Camera, up_axis
+from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
-from vislam.fields import STRICT
+from vislam.geometry import se3
 from vislam.motion import BIAS, POSE
 from vislam.sensors import TrackNoise
 from vislam.types import Array, BoolArray, IntArray
 
 _NEAREST = 0.5
 """A landmark predicted nearer than this, or behind the camera, is not fused [m]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class EkfOptions:
-    """Options of the filter."""
-
-    gate: bool = True
-    """Refuse observations by a chi-square test of their innovation."""
-    track_errors: Literal["states", "independent"] = "states"
-    """``states``: drift and match error of each track are part of the state. ``independent``: they are taken
-    for white noise of the same mean variance, as a smoother of plain stereo factors has to."""
-
-
-def build(problem: Problem, options: Mapping[str, Any]) -> "EkfEstimator":
-    """Build the filter from a problem and the options of its config section."""
-    return EkfEstimator(problem, config.parse(EkfOptions, dict(options), at="estimators.ekf"))
+_HEIGHT_SIGMA = 0.02
+"""White error of the height against the integrated climb rate [m]."""
+_UNKNOWN_CLIMB = 5.0
+"""Standard deviation of the climb rate where a step has none [m/s]."""
+_AT_REST = 1e-3
+"""Iterations end when no component of the correction changes by more than this share of its deviation."""
+_HUBER_SHARE = 0.95
+"""Share of good observations that keep their full weight."""
+_STUDENT_FREEDOM = 4.0
+"""Degrees of freedom of the Student distribution."""
 
 
 class EkfEstimator:
-    """Joint EKF over pose, bias and the landmarks in view (report, section III-D).
+    """Joint EKF over navigation state and the landmarks in view (report, section III-D).
 
-    A landmark leaves the state when its track ends. It would never be measured again, so the rest of
-    the state is as if it had stayed; its own last mean and covariance are kept.
+    A landmark leaves the state when its track ends. It would never be measured again, so the rest of the
+    state is as if it had stayed; what later data say about it, it is told by the way back in the end.
+
+    Attributes
+    ----------
+    state : JointState
     """
 
     def __init__(self, problem: Problem, options: EkfOptions) -> None:
         self._problem = problem
+        self._options = options
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
-        self.state = JointState(
-            pose_sigma=problem.first_pose_sigma, bias=problem.bias_mean, bias_sigma=problem.bias_sigma
-        )
+        self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig))
+        nav, sigma = np.zeros(NAV), np.zeros(NAV)
+        nav[BIAS] = problem.bias_mean
+        sigma[POSE], sigma[BIAS] = problem.first_pose_sigma, problem.bias_sigma
+        sigma[CLOCK], sigma[OFFSET] = problem.clock_sigma, problem.disparity_offset_sigma
+        if problem.climb is not None:
+            sigma[TILT] = problem.climb.tilt_sigma
+        self.state = JointState(self._camera.chart, options.error, nav=nav, sigma=sigma)
+        self._recorder: Recorder | None = None
+        if options.finished == "smoothed":
+            self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
+        self._left: list[Landmarks] = []
         self._poses: list[Array] = []
-        self._finished: list[tuple[IntArray, Array, Array]] = []
         self._matches: list[Array] = []
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
-        state = self.state
-        self._retire(np.isin(state.track, frame.track, assume_unique=True))
-        if frame.k > 0:
-            step = motion.integrate(frame.twist, bias=state.bias, dt=frame.dt, noise=self._problem.noise)
-            state.predict(step.prev_T_next, *motion.transition(step))
-            self._drift()
-        _, slots, rows = np.intersect1d(state.track, frame.track, assume_unique=True, return_indices=True)
-        fused, gated, nis, log_likelihood = self._fuse(frame, slots, rows, ~refused[rows])
-        new = ~np.isin(frame.track, state.track, assume_unique=True) & ~refused
-        self._initialise(frame, new)
-        used, all_gated = new, np.zeros(len(frame.track), bool)
-        used[rows[fused]] = True
-        all_gated[rows[gated]] = True
-        self._poses.append(state.world_T_imu)
-        return StepRecord(
-            world_T_imu=state.world_T_imu,
-            pose_cov=state.cov[POSE, POSE].copy(),
-            bias=state.bias.copy(),
-            bias_sigma=np.sqrt(np.diagonal(state.cov)[BIAS]),
-            nis=nis,
-            dof=3 * int(fused.sum()),
-            log_likelihood=log_likelihood,
-            used=used,
-            gated=all_gated,
-        )
+        self._see_off(_seen(self.state.track, frame.track))
+        if self._recorder is None:
+            record = self._advance(self.state, frame, refused)
+        else:
+            record = self._recorder.take(self.state, frame, refused)
+        self._poses.append(self.state.world_T_imu)
+        return record
 
     def finalize(self) -> Estimate:
-        """Return the causal poses, and each landmark as it was when its track ended."""
-        self._retire(np.zeros(len(self.state.track), bool))
-        track, points, cov = (np.concatenate(part) for part in zip(*self._finished, strict=True))
-        order = np.argsort(track)
-        return Estimate(np.array(self._poses), track[order], points[order], cov[order], {})
+        """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""
+        self._see_off(np.zeros(len(self.state.track), bool))
+        poses, pose_cov, counts = np.array(self._poses), None, {}
+        if self._recorder is None:
+            landmarks = Landmarks.join(self._left)
+        else:
+            found = self.smooth()
+            landmarks = found.landmarks
+            counts["frames_computed_again"] = self._recorder.again
+            if self._options.smoothed:
+                poses, pose_cov = found.world_T_imu, found.pose_cov
+        return Estimate(
+            world_T_imu=poses,
+            pose_cov=pose_cov,
+            track=landmarks.track,
+            points_world=landmarks.points_world,
+            points_cov=landmarks.points_cov,
+            counts=counts,
+        )
+
+    def smooth(self) -> Smoothed:
+        """Go back over all steps, which are forgotten then; not with ``finished: as_left``."""
+        assert self._recorder is not None
+        return backward.smooth(self.state, self._recorder)
 
     def match_errors(self) -> tuple[IntArray, Array, Array]:
         """Tracks that have ended, their match errors and the variances of these, ``(m,)`` each."""
         table = np.concatenate(self._matches)
         return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
+    def _advance(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
+        seen = _seen(state.track, frame.track)
+        if not seen.all():
+            state.keep(seen)
+        if frame.k > 0:
+            self._predict(state, frame)
+        rows = _places(state.track, frame.track)
+        fused, gated, update = self._fuse(state, frame, rows, ~refused[rows])
+        self._climb(state)
+        new = ~refused
+        new[rows] = False
+        self._initialise(state, frame, new)
+        if self._options.smoothed:
+            state.note_pose()
+        used, all_gated = new, np.zeros(len(frame.track), bool)
+        used[rows[fused]] = True
+        all_gated[rows[gated]] = True
+        dof = 3 * int(fused.sum())
+        return StepRecord(
+            world_T_imu=state.world_T_imu,
+            pose_cov=state.cov[POSE, POSE].copy(),
+            bias=state.nav[BIAS].copy(),
+            bias_sigma=np.sqrt(np.diagonal(state.cov)[BIAS]),
+            nis=0.0 if update is None else update.nis,
+            dof=dof,
+            log_likelihood=0.0 if update is None else _log_density(update, dof),
+            used=used,
+            gated=all_gated,
+        )
+
+    def _predict(self, state: JointState, frame: Frame) -> None:
+        """Move pose and height, and let the tracks drift."""
+        problem, dt = self._problem, frame.dt
+        late = state.nav[CLOCK] / dt
+        step = motion.integrate(
+            frame.twist + late * frame.twist_change, bias=state.nav[BIAS], dt=dt, noise=problem.noise
+        )
+        transition, noise = np.eye(NAV), np.zeros((NAV, NAV))
+        transition[: motion.NAV, : motion.NAV], noise[: motion.NAV, : motion.NAV] = motion.transition(step)
+        transition[POSE, CLOCK] = -step.by_bias @ frame.twist_change / dt
+        if problem.climb is not None:
+            known = np.isfinite(frame.climb_rate)
+            state.nav[CLIMB] += dt * frame.climb_rate if known else 0.0
+            noise[CLIMB, CLIMB] = dt * problem.climb.walk**2 if known else (dt * _UNKNOWN_CLIMB) ** 2
+        state.predict(step.prev_T_next, transition, noise)
+        if self._track_noise.drift > 0.0 and len(state.track):
+            state.wander(
+                self._camera.drift_cov(
+                    state.world_T_imu, state.anchors, state.landmarks, drift=self._track_noise.drift
+                )
+            )
+
     def _fuse(
-        self, frame: Frame, slots: IntArray, rows: IntArray, allowed: BoolArray
-    ) -> tuple[BoolArray, BoolArray, float, float]:
-        """Gate and fuse the landmarks in ``slots``, seen in ``rows``.
+        self, state: JointState, frame: Frame, rows: IntArray, allowed: BoolArray
+    ) -> tuple[BoolArray, BoolArray, Update | None]:
+        """Gate and fuse what is seen of the landmarks, in ``rows`` of the frame.
 
-        Returns the masks of fused and gated, the NIS and the log likelihood of what was fused.
+        Returns the masks of fused and gated landmarks, and the update if anything was fused.
         """
-        nothing = np.zeros(len(slots), bool)
+        n = len(rows)
+        nothing = np.zeros(n, bool)
         if not allowed.any():
-            return nothing, nothing, 0.0, 0.0
-        prediction = measurement.predict(
-            self._problem.rig, self.state.world_T_imu, self.state.landmarks[slots]
-        )
-        cross, spread = measurement.covariances(self.state, slots, prediction)
-        each = np.arange(len(slots))
-        spread[each[:, None], np.arange(3), each[:, None], np.arange(3)] += self._variance(frame)[rows]
-        innovation = frame.z[rows] - prediction.z
-        own = spread[each, :, each, :]
-        distance = np.einsum("ni,ni->n", innovation, np.linalg.solve(own, innovation[..., None])[..., 0])
-        passes = (distance <= self._threshold) & (prediction.depth > _NEAREST)
-        good = allowed & passes
+            return nothing, nothing, None
+        z, variance = frame.z[rows], self._variance(frame, rows)
+        innovation = self._linearise(state, z)
+        distance = innovation.distances(variance)
+        passes = (distance <= self._threshold) & (innovation.depth > _NEAREST)
+        good, gated = allowed & passes, allowed & ~passes
         if not good.any():
-            return nothing, allowed & ~passes, 0.0, 0.0
-        size, m = len(self.state.cov), 3 * int(good.sum())
-        nis, log_det = self.state.update(
-            cross[:, good].reshape(size, m),
-            spread[good][:, :, good].reshape(m, m),
-            innovation[good].reshape(m),
-        )
-        log_likelihood = -0.5 * (nis + log_det + m * float(np.log(2.0 * np.pi)))
-        return good, allowed & ~passes, nis, log_likelihood
+            return nothing, gated, None
+        variance = variance / self._weight(distance)[:, None]
+        update = innovation.update(variance, good)
+        deviation = np.sqrt(np.diagonal(state.cov))
+        # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
+        for _ in range(self._options.iterations - 1):
+            correction = update.correction
+            innovation = self._linearise(state, z, correction)
+            if not (innovation.depth[good] > _NEAREST).all():
+                break
+            update = innovation.update(variance, good)
+            if (np.abs(update.correction - correction) <= _AT_REST * deviation).all():
+                break
+        state.correct(update)
+        return good, gated, update
 
-    def _initialise(self, frame: Frame, new: BoolArray) -> None:
+    def _linearise(self, state: JointState, z: Array, correction: Array | None = None) -> "_Innovation":
+        """Linearise the sightings of all landmarks at the state, or where a correction ``(d,)`` leads."""
+        camera, anchors = self._camera, state.anchors
+        pose, landmarks, offset = state.world_T_imu, state.landmarks, float(state.nav[OFFSET])
+        at = state.linearised_at
+        if correction is not None:
+            pose = se3.retract(pose, correction[POSE])
+            at = landmarks = landmarks + correction[NAV:].reshape(-1, LANDMARK)
+            offset += float(correction[OFFSET])
+        predicted, depth = camera.predict(pose, anchors, landmarks, offset=offset)
+        by_nav, by_landmark = camera.jacobians(pose, anchors, at)
+        jacobian = Jacobian(by_nav.reshape(-1, NAV), by_landmark, None)
+        value = (z - predicted).reshape(-1)
+        if correction is not None:
+            jacobian.by_nav[:, POSE] = jacobian.by_nav[:, POSE] @ se3.right_jacobian(correction[POSE])
+            value = value + jacobian.times(correction[:, None])[:, 0]
+        projected = jacobian.times(state.cov)
+        return _Innovation(value, depth, jacobian, projected, jacobian.times(projected.T))
+
+    def _weight(self, distance: Array) -> Array:
+        """Weights ``(n,)`` of observations with squared Mahalanobis distances ``(n,)``."""
+        if self._options.robust == "huber":
+            return np.minimum(1.0, np.sqrt(chi2.ppf(_HUBER_SHARE, 3) / np.maximum(distance, 1e-12)))
+        if self._options.robust == "student":
+            return (_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)
+        return np.ones(len(distance))
+
+    def _climb(self, state: JointState) -> None:
+        """Fuse that the pose is as high above the start as the climb rate has led."""
+        if self._problem.climb is None:
+            return
+        up, by_tilt = up_axis(state.nav[TILT])
+        position = state.world_T_imu[:3, 3]
+        by_nav = np.zeros((1, NAV))
+        by_nav[0, 3:6] = up @ state.world_T_imu[:3, :3]
+        by_nav[0, TILT] = position @ by_tilt
+        by_nav[0, CLIMB] = -1.0
+        jacobian = Jacobian(by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
+        projected = jacobian.times(state.cov)
+        spread = jacobian.times(projected.T) + _HEIGHT_SIGMA**2
+        innovation = np.array([state.nav[CLIMB] - up @ position])
+        state.correct(Update.of(jacobian, projected, spread, innovation))
+
+    def _initialise(self, state: JointState, frame: Frame, new: BoolArray) -> None:
         if not new.any():
             return
-        landmarks, by_pose, by_measurement = measurement.initialise(
-            self._problem.rig, self.state.world_T_imu, frame.z[new]
+        rows = np.flatnonzero(new)
+        anchors, landmarks, by_nav, by_measurement = self._camera.initialise(
+            state.world_T_imu, frame.z[rows], offset=float(state.nav[OFFSET])
         )
-        match = self._track_noise.match_sigma(frame.z[new, 0] - frame.z[new, 1])
-        self.state.augment(
-            frame.track[new],
+        match = self._track_noise.match_sigma(frame.z[rows, 0] - frame.z[rows, 1])
+        variance = np.column_stack([self._variance(frame, rows), match**2])
+        state.append(
+            frame.track[rows],
+            anchors,
             landmarks,
-            by_pose=by_pose,
-            by_measurement=by_measurement,
-            noise=np.column_stack([self._variance(frame)[new], match**2]),
+            by_nav=by_nav,
+            noise=(by_measurement * variance[:, None, :]) @ by_measurement.transpose(0, 2, 1),
         )
 
-    def _variance(self, frame: Frame) -> Array:
-        """Variances ``(n, 3)`` [px^2] of the white noise of a frame's measurements."""
+    def _variance(self, frame: Frame, rows: IntArray) -> Array:
+        """Variances ``(n, 3)`` [px^2] of the white noise of measurements of a frame."""
         if self._independent:
-            return frame.sigma**2
-        return np.broadcast_to(self._track_noise.sigma**2, frame.z.shape)
+            return frame.sigma[rows] ** 2
+        return np.broadcast_to(self._track_noise.sigma**2, (len(rows), 3))
 
-    def _drift(self) -> None:
-        """Let the tracks in view drift on by a frame."""
-        drift = self._track_noise.drift
-        if drift == 0.0:
-            return
-        rig, state = self._problem.rig, self.state
-        state.wander(measurement.drift_cov(rig, state.world_T_imu, state.landmarks[:, :3], drift=drift))
-
-    def _retire(self, seen: BoolArray) -> None:
-        if seen.all() and self._finished:
-            return
-        state = self.state
-        cov = state.landmark_cov()
-        self._finished.append((state.track[~seen], state.landmarks[~seen, :3], cov[~seen]))
+    def _see_off(self, seen: BoolArray) -> None:
+        """Note what is known now of the landmarks that are about to leave."""
+        state, left = self.state, np.flatnonzero(~seen)
         self._matches.append(
-            np.column_stack([state.track, state.landmarks[:, 3], state.match_variance()])[~seen]
+            np.column_stack([state.track, state.landmarks[:, 3], state.variances()[:, 3]])[left]
         )
-        state.keep(seen)
+        if self._recorder is None:
+            self._left.append(backward.as_left(state, left))
+
+
+@dataclass(frozen=True)
+class _Innovation:
+    """Linearised sightings of all landmarks of the state.
+
+    Attributes
+    ----------
+    value : (3n,)
+        Measured less predicted [px].
+    depth : (n,)
+    jacobian : Jacobian
+    projected, spread : (3n, d), (3n, 3n)
+        ``H P`` and ``H P H^T``.
+    """
+
+    value: Array
+    depth: Array
+    jacobian: Jacobian
+    projected: Array
+    spread: Array
+
+    def distances(self, variance: Array) -> Array:
+        """Squared Mahalanobis distance ``(n,)`` of each sighting of white noise ``variance (n, 3)``."""
+        n, each = len(variance), np.arange(len(variance))
+        own = self.spread.reshape(n, 3, n, 3)[each, :, each] + variance[:, :, None] * np.eye(3)
+        value = self.value.reshape(n, 3)
+        return np.einsum("ni,ni->n", value, np.linalg.solve(own, value[:, :, None])[:, :, 0])
+
+    def update(self, variance: Array, good: BoolArray) -> Update:
+        """Update with the good sightings; uses up ``projected`` and ``spread``."""
+        self.spread.reshape(-1)[:: len(self.spread) + 1] += variance.reshape(-1)
+        if good.all():
+            return Update.of(self.jacobian, self.projected, self.spread, self.value)
+        rows, of = np.flatnonzero(np.repeat(good, 3)), self.jacobian
+        part = Jacobian(of.by_nav[rows], of.by_landmark[good], np.flatnonzero(good))
+        return Update.of(part, self.projected[rows], self.spread[np.ix_(rows, rows)], self.value[rows])
+
+
+def _seen(track: IntArray, in_frame: IntArray) -> BoolArray:
+    """Which tracks ``(n,)`` are in a frame."""
+    return np.isin(track, in_frame, assume_unique=True)
+
+
+def _places(track: IntArray, in_frame: IntArray) -> IntArray:
+    """Where in a frame tracks ``(n,)`` are which it has."""
+    order = np.argsort(in_frame)
+    return np.asarray(order[np.searchsorted(in_frame, track, sorter=order)])
+
+
+def _log_density(update: Update, dof: int) -> float:
+    return -0.5 * (update.nis + update.log_det + dof * float(np.log(2.0 * np.pi)))

@@ -1,116 +1,168 @@
-"""The stereo measurement of the joint state: value, Jacobians, and the products the update needs.
+"""The measurements of the joint state: values and Jacobians of stereo sightings, and of the climb rate.
 
-A landmark is (x, y, z, e): its point in the world [m], and the share e by which its disparity is too large
-because the right patch follows another point than the left one.
+A landmark is (q, e): three coordinates in a :mod:`chart <vislam.ekf.chart>`, and the share e by which its
+disparity is too large because the right patch follows another point than the left one. With the point
+``h = (x, y, z, w)`` in the left camera, homogeneous,
+
+    uL = fx x / z + cx,    v = fy y / z + cy,    uL - uR = (1 + e) fx b w / z + o,
+
+o being the constant error of all disparities. Nothing here divides by w: points at infinity are welcome.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from vislam.ekf.state import LANDMARK, JointState
+from vislam.ekf.chart import Chart
+from vislam.ekf.layout import LANDMARK, NAV, OFFSET
 from vislam.geometry import se3, so3
-from vislam.motion import NAV, POSE
+from vislam.motion import POSE
 from vislam.sensors import StereoRig
-from vislam.types import Array, IntArray
+from vislam.types import Array
+
+_FARTHEST = 1e-9
+"""Smallest w that a depth is taken of: what is farther, or beyond infinity, is very far."""
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """Predicted stereo measurements of landmarks in the state.
+class Camera:
+    """What turns a landmark into a measurement.
 
     Attributes
     ----------
-    z : (n, 3)
-        Predicted (uL, uR, v) [px].
-    by_pose : (n, 3, 6)
-        H with respect to the pose error: minus the derivative that the report's eq. (26) has, whose sign
-        and inverse are wrong.
-    by_landmark : (n, 3, 4)
-        H with respect to the landmark (eq. 19) and to the error of its match.
-    depth : (n,)
-        Depth in the left camera [m].
+    rig : StereoRig
+    chart : Chart
     """
 
-    z: Array
-    by_pose: Array
-    by_landmark: Array
-    depth: Array
+    rig: StereoRig
+    chart: Chart
+
+    def predict(
+        self, world_T_imu: Array, anchors: Array, landmarks: Array, *, offset: float
+    ) -> tuple[Array, Array]:
+        """Predicted measurements of landmarks, and which can be seen.
+
+        Parameters
+        ----------
+        world_T_imu : (4, 4)
+        anchors : (n, 4, 4)
+            Poses of the landmarks' anchors in the world.
+        landmarks : (n, 4)
+        offset : float
+            Constant error of all disparities [px].
+
+        Returns
+        -------
+        z : (n, 3)
+            (uL, uR, v) [px].
+        depth : (n,)
+            Depth in the left camera [m], negative behind it.
+        """
+        _, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
+        rig = self.rig
+        x, y, z, w = in_camera.T
+        column = rig.fx * x / z + rig.cx
+        disparity = (1.0 + landmarks[:, 3]) * rig.fx * rig.baseline * w / z + offset
+        depth = z / np.maximum(w, _FARTHEST)
+        return np.column_stack([column, column - disparity, rig.fy * y / z + rig.cy]), depth
+
+    def jacobians(self, world_T_imu: Array, anchors: Array, landmarks: Array) -> tuple[Array, Array]:
+        """H of :meth:`predict`.
+
+        Returns
+        -------
+        by_nav : (n, 3, NAV)
+            With respect to the navigation state. Its pose block is minus the derivative that the report's
+            eq. (26) has, whose sign and inverse are wrong.
+        by_landmark : (n, 3, 4)
+            With respect to the landmark (eq. 19, by the chain rule) and to the error of its match.
+        """
+        rig = self.rig
+        cam_T_anchor, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
+        x, y, z, w = in_camera.T
+        stretch = 1.0 + landmarks[:, 3]
+        disparity = rig.fx * rig.baseline * w / z
+        by_camera = np.zeros((len(z), 3, 4))
+        by_camera[:, 0, 0] = by_camera[:, 1, 0] = rig.fx / z
+        by_camera[:, 0, 2] = by_camera[:, 1, 2] = -rig.fx * x / z**2
+        by_camera[:, 2, 1] = rig.fy / z
+        by_camera[:, 2, 2] = -rig.fy * y / z**2
+        by_camera[:, 1, 2] += stretch * disparity / z
+        by_camera[:, 1, 3] = -stretch * rig.fx * rig.baseline / z
+        in_imu = in_camera @ rig.imu_T_cam[:3].T
+        by_imu = by_camera[:, :, :3] @ rig.cam_T_imu[:3, :3]
+        by_nav = np.zeros((len(z), 3, NAV))
+        by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
+        by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
+        by_nav[:, 1, OFFSET] = -1.0
+        by_landmark = np.empty((len(z), 3, LANDMARK))
+        by_landmark[:, :, :3] = by_camera @ (cam_T_anchor @ self.chart.linear)
+        by_landmark[:, :, 3] = 0.0
+        by_landmark[:, 1, 3] = -disparity
+        return by_nav, by_landmark
+
+    def initialise(self, world_T_imu: Array, z: Array, *, offset: float) -> tuple[Array, Array, Array, Array]:
+        """Landmarks from their first measurement (eq. 20), the error of the match taken as 0.
+
+        Returns
+        -------
+        anchors : (n, 4, 4)
+        landmarks : (n, 4)
+        by_nav : (n, 4, NAV)
+            Derivative with respect to the navigation state.
+        by_measurement : (n, 4, 4)
+            Derivative with respect to (uL, uR, v) and to the error of the match.
+        """
+        rig, chart, n = self.rig, self.chart, len(z)
+        world_T_cam = world_T_imu @ rig.imu_T_cam
+        anchor = world_T_cam if chart.anchored else np.eye(4)
+        anchor_T_cam = np.eye(4) if chart.anchored else world_T_cam
+        disparity = z[:, 0] - z[:, 1] - offset
+        per_disparity = 1.0 / (rig.fx * rig.baseline)
+        in_camera = np.column_stack(
+            [
+                (z[:, 0] - rig.cx) / rig.fx,
+                (z[:, 2] - rig.cy) / rig.fy,
+                np.ones(n),
+                disparity * per_disparity,
+            ]
+        )
+        in_anchor = in_camera @ anchor_T_cam.T
+        landmarks = np.zeros((n, LANDMARK))
+        landmarks[:, :3] = chart.coordinates(in_anchor)
+        by_camera = chart.coordinates_jacobian(in_anchor) @ anchor_T_cam
+        by_measurement = np.zeros((n, LANDMARK, 4))
+        by_measurement[:, :3, 0] = by_camera[:, :, 0] / rig.fx + by_camera[:, :, 3] * per_disparity
+        by_measurement[:, :3, 1] = -by_camera[:, :, 3] * per_disparity
+        by_measurement[:, :3, 2] = by_camera[:, :, 1] / rig.fy
+        # The disparity of the point itself is (uL - uR - o) / (1 + e).
+        by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
+        by_measurement[:, 3, 3] = 1.0
+        by_nav = np.zeros((n, LANDMARK, NAV))
+        imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
+        by_nav[:, :3, POSE] = chart.moved(landmarks[:, :3]) @ imu_to_anchor
+        by_nav[:, :3, OFFSET] = by_measurement[:, :3, 1]
+        return np.broadcast_to(anchor, (n, 4, 4)), landmarks, by_nav, by_measurement
+
+    def drift_cov(self, world_T_imu: Array, anchors: Array, landmarks: Array, *, drift: float) -> Array:
+        """Covariance ``(n, 3, 3)`` of a step of ``drift`` [px] in column and row, at constant depth."""
+        cam_T_anchor, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
+        lateral = cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
+            in_camera[:, 2, None, None] * np.array([drift / self.rig.fx, drift / self.rig.fy])
+        )
+        homogeneous = self.chart.homogeneous(landmarks[:, :3])
+        step = self.chart.coordinates_jacobian(homogeneous)[:, :, :3] @ lateral
+        return np.asarray(step @ step.transpose(0, 2, 1))
+
+    def _in_camera(self, world_T_imu: Array, anchors: Array, q: Array) -> tuple[Array, Array]:
+        """Anchors ``(n, 4, 4)`` and homogeneous points ``(n, 4)`` in the left camera."""
+        cam_T_anchor = se3.inverse(world_T_imu @ self.rig.imu_T_cam) @ anchors
+        in_camera = (cam_T_anchor @ self.chart.homogeneous(q)[:, :, None])[:, :, 0]
+        return cam_T_anchor, in_camera
 
 
-def predict(rig: StereoRig, world_T_imu: Array, landmarks: Array) -> Prediction:
-    """Measurements of landmarks ``(n, 4)`` and their Jacobians at a pose."""
-    rotation = world_T_imu[:3, :3]
-    cam_T_imu = rig.cam_T_imu
-    points_imu = (landmarks[:, :3] - world_T_imu[:3, 3]) @ rotation
-    points_cam = se3.transform(cam_T_imu, points_imu)
-    match = landmarks[:, 3]
-    z = rig.project(points_cam)
-    disparity = z[:, 0] - z[:, 1]
-    z[:, 1] -= match * disparity
-    by_cam = rig.projection_jacobian(points_cam)
-    by_cam[:, 1] -= match[:, None] * (by_cam[:, 0] - by_cam[:, 1])
-    by_imu = by_cam @ cam_T_imu[:3, :3]
-    by_landmark = np.zeros((len(z), 3, LANDMARK))
-    by_landmark[:, :, :3] = by_imu @ rotation.T
-    by_landmark[:, 1, 3] = -disparity
-    return Prediction(
-        z=z,
-        by_pose=np.concatenate([by_imu @ so3.hat(points_imu), -by_imu], axis=2),
-        by_landmark=by_landmark,
-        depth=points_cam[:, 2],
-    )
-
-
-def covariances(state: JointState, slots: IntArray, prediction: Prediction) -> tuple[Array, Array]:
-    """``P H^T (d, n, 3)`` and ``H P H^T (n, 3, n, 3)`` for landmarks in the given slots.
-
-    H has six dense columns for the pose and one block a landmark, so neither product ever
-    forms it.
-    """
-    n, size = len(slots), len(state.cov)
-    by_pose = prediction.by_pose.reshape(3 * n, 6)
-    blocks = state.cov[:, NAV:].reshape(size, -1, LANDMARK)[:, slots].transpose(1, 0, 2)
-    cross = (state.cov[:, POSE] @ by_pose.T).reshape(size, n, 3)
-    cross += (blocks @ prediction.by_landmark.transpose(0, 2, 1)).transpose(1, 0, 2)
-    flat = cross.reshape(size, 3 * n)
-    spread = (by_pose @ flat[POSE]).reshape(n, 3, 3 * n)
-    spread += prediction.by_landmark @ flat[NAV:].reshape(-1, LANDMARK, 3 * n)[slots]
-    return cross, spread.reshape(n, 3, n, 3)
-
-
-def initialise(rig: StereoRig, world_T_imu: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Landmarks from their first measurement (eq. 20), the error of the match taken as 0.
-
-    Returns
-    -------
-    landmarks : (n, 4)
-    by_pose : (n, 4, 6)
-        Derivative with respect to the pose error.
-    by_measurement : (n, 4, 4)
-        Derivative with respect to (uL, uR, v) and to the error of the match.
-    """
-    n, rotation = len(z), world_T_imu[:3, :3]
-    points_imu = se3.transform(rig.imu_T_cam, rig.back_project(z))
-    turned = np.broadcast_to(rotation, (n, 3, 3))
-    by_pose = np.zeros((n, LANDMARK, 6))
-    by_pose[:, :3] = np.concatenate([-turned @ so3.hat(points_imu), turned], axis=2)
-    by_measurement = np.zeros((n, LANDMARK, 4))
-    by_pixels = rotation @ rig.imu_T_cam[:3, :3] @ rig.back_projection_jacobian(z)
-    by_measurement[:, :3, :3] = by_pixels
-    # The right pixel of the point itself is uR + e (uL - uR).
-    by_measurement[:, :3, 3] = by_pixels[:, :, 1] * (z[:, 0] - z[:, 1])[:, None]
-    by_measurement[:, 3, 3] = 1.0
-    landmarks = np.column_stack([se3.transform(world_T_imu, points_imu), np.zeros(n)])
-    return landmarks, by_pose, by_measurement
-
-
-def drift_cov(rig: StereoRig, world_T_imu: Array, points_world: Array, *, drift: float) -> Array:
-    """Covariance ``(n, 3, 3)`` [m^2] of the step of points whose column and row drift by ``drift`` [px]."""
-    rotation = world_T_imu[:3, :3] @ rig.imu_T_cam[:3, :3]
-    points_cam = se3.transform(se3.inverse(world_T_imu @ rig.imu_T_cam), points_world)
-    per_pixel = np.zeros((len(points_cam), 3, 2))
-    per_pixel[:, 0, 0] = points_cam[:, 2] / rig.fx
-    per_pixel[:, 1, 1] = points_cam[:, 2] / rig.fy
-    turned = drift * rotation @ per_pixel
-    return np.asarray(turned @ turned.transpose(0, 2, 1))
+def up_axis(tilt: Array) -> tuple[Array, Array]:
+    """Up ``(3,)`` in a world tilted by ``(2,)`` [rad] about x and y, and its derivative ``(3, 2)``."""
+    omega = np.array([tilt[0], tilt[1], 0.0])
+    up = so3.exp(omega)[:, 2]
+    return up, (-so3.hat(up) @ so3.left_jacobian(omega))[:, :2]

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from vislam import config
 from vislam.data.sequence import Frame
-from vislam.errors import DivergedError
+from vislam.errors import ConfigError, DivergedError
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.fields import STRICT, NonNegative, Positive
 from vislam.geometry import se3
@@ -55,7 +55,24 @@ class Isam2Options:
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "Isam2Estimator":
-    """Build the smoother from a problem and the options of its config section."""
+    """Build the smoother from a problem and the options of its config section.
+
+    Raises
+    ------
+    ConfigError
+        Also if the problem has a measurement or a state that this smoother lacks: with it left out, it would
+        no longer be given the same information as a filter.
+    """
+    asked = {
+        "climb": problem.climb is not None,
+        "clock_sigma": problem.clock_sigma > 0.0,
+        "disparity_offset_sigma_px": problem.disparity_offset_sigma > 0.0,
+    }
+    for name, wanted in asked.items():
+        if wanted:
+            raise ConfigError(
+                f"estimators.isam2: has no use for noise.{name} yet; take it out, or compare filters only"
+            )
     return Isam2Estimator(problem, config.parse(Isam2Options, dict(options), at="estimators.isam2"))
 
 
@@ -234,7 +251,7 @@ class Isam2Estimator:
         poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._book.poses))])
         tracks = sorted(self._book.keys)
         points = np.array([values.atPoint3(self._book.keys[track]) for track in tracks]).reshape(-1, 3)
-        return Estimate(poses, np.array(tracks, dtype=np.int64), points, None, dict(self.counts))
+        return Estimate(poses, None, np.array(tracks, dtype=np.int64), points, None, dict(self.counts))
 
     def _move(self, frame: Frame) -> list[gtsam.NonlinearFactor]:
         """Predict the pose; the factors that tie it to the one before."""

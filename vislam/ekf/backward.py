@@ -1,0 +1,205 @@
+"""The way back: what all data say about each landmark that has left the state, and about each pose.
+
+The filter's steps are recorded as far as memory allows. Older stretches are dropped and only the state at
+their start is kept, from which they are computed once more when the way back comes to them; where even these
+states become too many, every other one goes.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from vislam.data.sequence import Frame
+from vislam.ekf.layout import SHARED
+from vislam.ekf.linear import Adjoint, Step
+from vislam.ekf.state import Farewell, JointState, PoseRows
+from vislam.estimator import StepRecord
+from vislam.geometry import se3
+from vislam.motion import POSE
+from vislam.types import Array, BoolArray, IntArray
+
+_STRETCH = 16
+"""Frames between two states that are kept."""
+_STATES_SHARE = 0.25
+"""Share of the memory that the kept states may take."""
+
+Advance = Callable[[JointState, Frame, BoolArray], StepRecord]
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Landmarks in the world.
+
+    Attributes
+    ----------
+    track : (m,)
+    points_world : (m, 3)
+        [m].
+    points_cov : (m, 3, 3)
+        Marginal covariances [m^2].
+    points_pose_cov : (m, 3, 6)
+        Cross-covariances with the last pose, whose error is on its right.
+    """
+
+    track: IntArray
+    points_world: Array
+    points_cov: Array
+    points_pose_cov: Array
+
+    @classmethod
+    def join(cls, parts: Sequence["Landmarks"]) -> "Landmarks":
+        """All landmarks, their ids ascending."""
+        order = np.argsort(np.concatenate([part.track for part in parts]))
+        names = (item.name for item in fields(cls))
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What all data together say.
+
+    Attributes
+    ----------
+    world_T_imu : (T, 4, 4)
+        Poses; empty if they were not asked for.
+    pose_cov : (T, 6, 6)
+        Their covariances, on the right.
+    landmarks : Landmarks
+    """
+
+    world_T_imu: Array
+    pose_cov: Array
+    landmarks: Landmarks
+
+
+@dataclass
+class _Stretch:
+    """Some frames on end: the state before them, what came in, and the steps taken, unless dropped."""
+
+    before: JointState
+    inputs: list[tuple[Frame, BoolArray]] = field(default_factory=list)
+    steps: list[Step] | None = field(default_factory=list)
+    nbytes: int = 0
+
+
+class Recorder:
+    """Steps of a filter in the order they were taken, within bounded memory.
+
+    Attributes
+    ----------
+    again : int
+        Frames that had to be computed once more.
+    peak : int
+        Most memory that was held [bytes].
+    """
+
+    def __init__(self, advance: Advance, *, memory: int) -> None:
+        self._advance = advance
+        self._memory = memory
+        self._stretches: list[_Stretch] = []
+        self._dropped = 0
+        self._held = 0
+        self.again = 0
+        self.peak = 0
+
+    def take(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Advance the state by a frame, and record its steps."""
+        if not self._stretches or len(self._stretches[-1].inputs) >= _STRETCH:
+            self._stretches.append(_Stretch(state.copy()))
+            self._held += state.nbytes
+        current = self._stretches[-1]
+        assert current.steps is not None
+        state.steps = current.steps
+        before = len(current.steps)
+        record = self._advance(state, frame, refused)
+        current.inputs.append((frame, refused))
+        added = sum(step.nbytes for step in current.steps[before:])
+        current.nbytes += added
+        self._held += added
+        self.peak = max(self.peak, self._held)
+        self._make_room()
+        return record
+
+    def backwards(self) -> Iterator[Step]:
+        """All steps, the last first; what has been given out is forgotten."""
+        while self._stretches:
+            stretch = self._stretches.pop()
+            if stretch.steps is None:
+                again = Recorder(self._advance, memory=self._memory)
+                for frame, refused in stretch.inputs:
+                    again.take(stretch.before, frame, refused)
+                yield from again.backwards()
+                self.again += len(stretch.inputs) + again.again
+            else:
+                while stretch.steps:
+                    yield stretch.steps.pop()
+        self._dropped = self._held = 0
+
+    def _make_room(self) -> None:
+        while self._held > self._memory and self._dropped < len(self._stretches) - 1:
+            stretch = self._stretches[self._dropped]
+            stretch.steps = None
+            self._held -= stretch.nbytes
+            self._dropped += 1
+            states = sum(stretch.before.nbytes for stretch in self._stretches)
+            if states > _STATES_SHARE * self._memory:
+                self._thin_out()
+
+    def _thin_out(self) -> None:
+        """Join the dropped stretches two by two."""
+        dropped, kept = self._stretches[: self._dropped], self._stretches[self._dropped :]
+        for first, second in zip(dropped[::2], dropped[1::2], strict=False):
+            first.inputs += second.inputs
+            self._held -= second.before.nbytes
+        self._stretches = dropped[::2] + kept
+        self._dropped = len(dropped[::2])
+
+
+def smooth(state: JointState, recorder: Recorder) -> Smoothed:
+    """Go back over the recorded steps, to which ``state`` has come."""
+    adjoint = Adjoint.of_the_last(len(state.cov))
+    landmarks = [as_left(state, np.arange(len(state.track)))]
+    poses: list[Array] = []
+    covs: list[Array] = []
+    for step in recorder.backwards():
+        if isinstance(step, Farewell):
+            landmarks.append(_told(step, adjoint, state))
+        elif isinstance(step, PoseRows):
+            error, loss, _ = adjoint.expected(step.rows)
+            poses.append(se3.retract(step.world_T_imu, error))
+            covs.append(step.rows[:, POSE] - loss)
+        else:
+            adjoint = step.back(adjoint)
+    return Smoothed(
+        world_T_imu=np.array(poses[::-1]).reshape(-1, 4, 4),
+        pose_cov=np.array(covs[::-1]).reshape(-1, 6, 6),
+        landmarks=Landmarks.join(landmarks),
+    )
+
+
+def as_left(state: JointState, slots: IntArray) -> Landmarks:
+    """Landmarks as known now."""
+    return _told(state.farewell(slots), Adjoint.of_the_last(len(state.cov)), state)
+
+
+def _told(left: Farewell, adjoint: Adjoint, last: JointState) -> Landmarks:
+    """Landmarks that have left, as all data together say."""
+    n, each = len(left.track), np.arange(len(left.track))
+    error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
+    cross = cross.reshape(n, 3, 12)
+    own_cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
+    moved, moved_back = left.moved, left.moved.transpose(0, 2, 1)
+    q = left.q + error.reshape(n, 3) + moved @ last.shared
+    mixed = cross[:, :, 6:] @ moved_back
+    cov = own_cov + mixed + mixed.transpose(0, 2, 1) + moved @ last.cov[SHARED, SHARED] @ moved_back
+    with_pose = cross[:, :, :6] + moved @ last.cov[SHARED, POSE]
+    anchors = last.world_motion @ left.anchors
+    points, jacobian = last.chart.points(q)
+    turned = anchors[:, :3, :3] @ jacobian
+    return Landmarks(
+        track=left.track,
+        points_world=(anchors[:, :3, :3] @ points[:, :, None])[:, :, 0] + anchors[:, :3, 3],
+        points_cov=turned @ cov @ turned.transpose(0, 2, 1),
+        points_pose_cov=turned @ with_pose,
+    )

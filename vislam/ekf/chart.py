@@ -1,0 +1,92 @@
+"""Coordinates of landmarks: what the three numbers of a landmark mean.
+
+A landmark stands in an anchor frame as the homogeneous point ``X = (x, y, z, w)``, which is the Euclidean
+point ``(x, y, z) / w``. Its coordinates q are affine in X with one component of X held at 1:
+
+* ``point``: X = (q, 1), the point itself. The anchor is the world.
+* ``disparity``: X = ((q0 - cx) / fx, (q1 - cy) / fy, 1, q2 / (fx b)): column, row and disparity of the point
+  in the camera that saw it first, which is the anchor. Stereo errors are near Gaussian in them, and a point
+  at infinity (q2 = 0) is a point like all others. Montiel, Civera, Davison, *Unified inverse depth
+  parametrization for monocular SLAM* (RSS 2006), for a stereo pair.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from vislam.geometry import so3
+from vislam.sensors import StereoRig
+from vislam.types import Array
+
+Coordinates = Literal["point", "disparity"]
+
+_FARTHEST = 1e-4
+"""Smallest w for which a point is given out: 10 km where z is 1 [1/m]."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """An affine map from coordinates to homogeneous points.
+
+    Attributes
+    ----------
+    linear : (4, 3)
+    constant : (4,)
+    one : int
+        The component of X that is always 1.
+    anchored : bool
+        Whether the anchor is the first camera; the world if not.
+    """
+
+    linear: Array
+    constant: Array
+    one: int
+    anchored: bool
+
+    def homogeneous(self, q: Array) -> Array:
+        """Homogeneous points ``(n, 4)`` of coordinates ``(n, 3)``."""
+        return q @ self.linear.T + self.constant
+
+    def coordinates(self, homogeneous: Array) -> Array:
+        """Coordinates ``(n, 3)`` of homogeneous points ``(n, 4)`` of any scale."""
+        scaled = homogeneous / homogeneous[:, self.one, None]
+        return (scaled - self.constant) @ self._inverse.T
+
+    def coordinates_jacobian(self, homogeneous: Array) -> Array:
+        """Derivative ``(n, 3, 4)`` of :meth:`coordinates`."""
+        scale = homogeneous[:, self.one, None, None]
+        out = np.broadcast_to(self._inverse, (len(homogeneous), 3, 4)) / scale
+        out[:, :, self.one] -= (homogeneous @ self._inverse.T) / scale[:, :, 0] ** 2
+        return out
+
+    def moved(self, q: Array) -> Array:
+        """Derivative ``(n, 3, 6)`` of the coordinates by a motion (omega, v) of the anchor frame."""
+        homogeneous = self.homogeneous(q)
+        by_motion = np.zeros((len(q), 4, 6))
+        by_motion[:, :3, :3] = -so3.hat(homogeneous[:, :3])
+        by_motion[:, [0, 1, 2], [3, 4, 5]] = homogeneous[:, 3, None]
+        return self.coordinates_jacobian(homogeneous) @ by_motion
+
+    def points(self, q: Array) -> tuple[Array, Array]:
+        """Euclidean points ``(n, 3)`` [m] in the anchor, and their derivatives ``(n, 3, 3)``."""
+        homogeneous = self.homogeneous(q)
+        w = np.maximum(homogeneous[:, 3], _FARTHEST)
+        points = homogeneous[:, :3] / w[:, None]
+        jacobian = self.linear[:3] - points[:, :, None] * self.linear[3]
+        return points, jacobian / w[:, None, None]
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.asarray(np.linalg.pinv(self.linear), dtype=np.float64)
+
+
+def make(kind: Coordinates, rig: StereoRig) -> Chart:
+    """Chart of a kind for a rig."""
+    if kind == "point":
+        return Chart(np.eye(4, 3), np.array([0.0, 0.0, 0.0, 1.0]), one=3, anchored=False)
+    linear = np.zeros((4, 3))
+    linear[0, 0], linear[1, 1], linear[3, 2] = 1.0 / rig.fx, 1.0 / rig.fy, 1.0 / (rig.fx * rig.baseline)
+    constant = np.array([-rig.cx / rig.fx, -rig.cy / rig.fy, 1.0, 0.0])
+    return Chart(linear, constant, one=2, anchored=True)

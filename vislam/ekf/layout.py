@@ -1,0 +1,21 @@
+"""Where things stand in the filter's joint state: navigation first, then the landmarks.
+
+Pose and bias are those of :mod:`vislam.motion`; behind them stand parameters that are estimated where their
+prior is not zero, and cost next to nothing where it is.
+"""
+
+CLOCK = 12
+"""How much later the inertial stamps are than taken for [s]."""
+OFFSET = 13
+"""How much too large all disparities are [px]."""
+TILT = slice(14, 16)
+"""Turn of the true vertical against the world's z axis, about x and y [rad]."""
+CLIMB = 16
+"""Error of the integrated climb rate [m]."""
+SHARED = slice(17, 23)
+"""By how much more than their own errors landmarks that have left are off, as a motion of the world before
+all corrections; only the ``invariant`` form moves it."""
+NAV = 23
+"""Size of the navigation state."""
+LANDMARK = 4
+"""Size of a landmark: three coordinates, and the error of its match (``vislam.sensors.noise``)."""

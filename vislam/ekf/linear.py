@@ -1,0 +1,339 @@
+"""The linear steps that the filter takes with its error, forward on the covariance and back on the adjoint.
+
+Forward, the covariance P of the joint error. Back, what the data that came later say about the error x at a
+time: the adjoint r and its information N, so that, given all data (modified Bryson-Frazier),
+
+    x_hat = P r,    cov = P - P N P,    cross-covariance with the last pose = P Psi.
+
+G. J. Bierman, *Fixed interval smoothing with discrete measurements*, Int. J. Control 18 (1973) 65-75; for the
+notation see de Jong, *Smoothing and interpolation with the state-space model*, JASA 84 (1989). Each step maps
+them by the transpose of what it does to the error, and only a measurement adds to them. No step needs the
+inverse of a covariance.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from vislam.ekf.layout import LANDMARK, NAV, SHARED
+from vislam.errors import DivergedError
+from vislam.motion import POSE
+from vislam.types import Array, BoolArray, IntArray
+
+_OTHERS = slice(POSE.stop, None)
+
+
+@dataclass
+class Adjoint:
+    """What later data say about the error at one time.
+
+    Attributes
+    ----------
+    information : (d, d)
+        N.
+    vectors : (d, 13)
+        r, and Psi for the last pose and for the last ``SHARED``.
+    """
+
+    information: Array
+    vectors: Array
+
+    @classmethod
+    def of_the_last(cls, size: int) -> "Adjoint":
+        """Adjoint after the last step: nothing more is said, and what comes last is what there is."""
+        vectors = np.zeros((size, 13))
+        vectors[POSE, 1:7] = np.eye(6)
+        vectors[SHARED, 7:] = np.eye(6)
+        return cls(np.zeros((size, size)), vectors)
+
+    def expected(self, rows: Array) -> tuple[Array, Array, Array]:
+        """What all data say of the error of some rows: mean, loss of covariance, cross-covariance.
+
+        Parameters
+        ----------
+        rows : (k, d)
+            Covariance of k quantities, linear in the error, with the whole error.
+
+        Returns
+        -------
+        mean : (k,)
+        loss : (k, k)
+            By how much their covariance is smaller than without later data.
+        cross : (k, 12)
+            Their covariance with the last pose and the last ``SHARED``.
+        """
+        found = rows @ self.vectors
+        return found[:, 0], rows @ self.information @ rows.T, found[:, 1:]
+
+
+class Step:
+    """One linear step of the error; what a subclass holds is what the way back needs."""
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """Adjoint before the step from that after it, which may be used up; the same if the error stays."""
+        return after
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it holds [bytes]."""
+        values = (getattr(self, item.name) for item in fields(self))  # type: ignore[arg-type]
+        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """H of a measurement: dense columns for the navigation state, one block a landmark.
+
+    Attributes
+    ----------
+    by_nav : (m, NAV)
+    by_landmark : (n, 3, 4)
+        Of the first 3n rows; m - 3n further rows see no landmark.
+    slots : (n,) or None
+        Which landmarks these are; None for all, in order.
+    """
+
+    by_nav: Array
+    by_landmark: Array
+    slots: IntArray | None
+
+    def times(self, matrix: Array) -> Array:
+        """``H A``, ``(m, k)``, for ``A (d, k)``."""
+        n, columns = len(self.by_landmark), matrix.shape[1]
+        blocks = matrix[NAV:].reshape(-1, LANDMARK, columns)
+        if self.slots is not None:
+            blocks = blocks[self.slots]
+        out = np.zeros((len(self.by_nav), columns))
+        np.matmul(self.by_landmark, blocks, out=out[: 3 * n].reshape(n, 3, columns))
+        out += self.by_nav @ matrix[:NAV]
+        return out
+
+    def transposed_times(self, matrix: Array, *, size: int) -> Array:
+        """``H^T A``, ``(d, k)``, for ``A (m, k)``."""
+        n, columns = len(self.by_landmark), matrix.shape[1]
+        out = np.empty((size, columns))
+        out[:NAV] = self.by_nav.T @ matrix
+        blocks = out[NAV:].reshape(-1, LANDMARK, columns)
+        found = self.by_landmark.transpose(0, 2, 1) @ matrix[: 3 * n].reshape(n, 3, columns)
+        if self.slots is None:
+            blocks[...] = found
+        else:
+            blocks[...] = 0.0
+            blocks[self.slots] = found
+        return out
+
+
+@dataclass(frozen=True)
+class Update(Step):
+    """A measurement (eqs. 28 and 29): ``x <- x + K (innovation - H x)``.
+
+    Attributes
+    ----------
+    jacobian : Jacobian
+    factor : (m, m)
+        Lower Cholesky factor L of the innovation covariance S; its upper half is not looked at.
+    whitened_gain : (m, d)
+        ``L^-1 H P``, so that ``K = whitened_gain^T L^-1``.
+    whitened : (m,)
+        ``L^-1 innovation``.
+    """
+
+    jacobian: Jacobian
+    factor: Array
+    whitened_gain: Array
+    whitened: Array
+
+    @classmethod
+    def of(cls, jacobian: Jacobian, projected: Array, spread: Array, innovation: Array) -> "Update":
+        """Prepare an update from ``H P (m, d)`` and ``S (m, m)``, which are both used up.
+
+        Raises
+        ------
+        DivergedError
+            If S is not positive definite.
+        """
+        factor, failed = dpotrf(spread.T, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            smallest = float(np.linalg.eigvalsh(jacobian.times(projected.T))[0])
+            raise DivergedError(
+                f"innovation covariance lost, smallest eigenvalue of H P H' is {smallest:.3g}"
+            )
+        # From the right, since the transpose of a C-ordered matrix is what Fortran wants.
+        gain = dtrsm(1.0, factor, projected.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+        return cls(jacobian, factor, gain.T, dtrsv(factor, innovation, lower=1))
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared."""
+        return float(self.whitened @ self.whitened)
+
+    @property
+    def log_det(self) -> float:
+        """Logarithm of the determinant of S."""
+        return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
+
+    @property
+    def correction(self) -> Array:
+        """``K innovation``, ``(d,)``."""
+        return self.whitened @ self.whitened_gain
+
+    def forward(self, cov: Array) -> None:
+        """Take ``W^T W`` off the covariance, W being the whitened gain: symmetric to the last bit."""
+        cov -= self.whitened_gain.T @ self.whitened_gain
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """``N <- H^T S^-1 H + (1 - K H)^T N (1 - K H)``, ``r <- H^T S^-1 innovation + (1 - K H)^T r``."""
+        size = len(after.vectors)
+        gain = dtrsm(1.0, self.factor, self.whitened_gain.T, side=1, lower=1).T
+        seen = gain @ after.information
+        inner = seen @ gain.T
+        inverse, _ = dpotri(self.factor, lower=1)
+        inner += np.tril(inverse)
+        inner += np.tril(inverse, -1).T
+        # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
+        np.negative(seen, out=seen)
+        seen += 0.5 * self.jacobian.transposed_times(inner, size=size).T
+        change = self.jacobian.transposed_times(seen, size=size)
+        after.information += change
+        after.information += change.T
+        later = -(gain @ after.vectors)
+        later[:, 0] += dtrsv(self.factor, self.whitened, lower=1, trans=1)
+        after.vectors += self.jacobian.transposed_times(later, size=size)
+        return after
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it holds [bytes]."""
+        held = self.jacobian
+        return super().nbytes + held.by_nav.nbytes + held.by_landmark.nbytes
+
+
+@dataclass(frozen=True)
+class Move(Step):
+    """A motion of the navigation state: ``x <- F x + w`` (eq. 25).
+
+    Attributes
+    ----------
+    transition : (NAV, NAV)
+        F.
+    """
+
+    transition: Array
+
+    def forward(self, cov: Array, noise: Array) -> None:
+        """``F P F^T``, plus the ``noise (NAV, NAV)``."""
+        cov[:NAV, NAV:] = self.transition @ cov[:NAV, NAV:]
+        cov[NAV:, :NAV] = cov[:NAV, NAV:].T
+        cov[:NAV, :NAV] = self.transition @ cov[:NAV, :NAV] @ self.transition.T + noise
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """``N <- F^T N F``."""
+        information = after.information
+        information[:NAV] = self.transition.T @ information[:NAV]
+        information[:, :NAV] = information[:, :NAV] @ self.transition
+        after.vectors[:NAV] = self.transition.T @ after.vectors[:NAV]
+        return after
+
+
+@dataclass(frozen=True)
+class Reset(Step):
+    """New coordinates of the error: ``others <- others + B pose``, then ``pose <- A pose``.
+
+    Attributes
+    ----------
+    pose : (6, 6)
+        A.
+    others : (d - 6, 6) or None
+        B, for all that is not the pose; None for zero.
+    """
+
+    pose: Array
+    others: Array | None
+
+    def forward(self, cov: Array) -> None:
+        """``M P M^T``."""
+        if self.others is not None:
+            cov[_OTHERS] += self.others @ cov[POSE]
+            cov[:, _OTHERS] += cov[:, POSE] @ self.others.T
+        cov[POSE] = self.pose @ cov[POSE]
+        cov[:, POSE] = cov[:, POSE] @ self.pose.T
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """``N <- M^T N M``."""
+        information, vectors = after.information, after.vectors
+        information[POSE] = self.pose.T @ information[POSE]
+        information[:, POSE] = information[:, POSE] @ self.pose
+        vectors[POSE] = self.pose.T @ vectors[POSE]
+        if self.others is not None:
+            information[POSE] += self.others.T @ information[_OTHERS]
+            information[:, POSE] += information[:, _OTHERS] @ self.others
+            vectors[POSE] += self.others.T @ vectors[_OTHERS]
+        return after
+
+
+@dataclass(frozen=True)
+class Append(Step):
+    """New landmarks as functions of the navigation state: ``x <- (x, G x + noise)``.
+
+    Attributes
+    ----------
+    by_nav : (k, NAV)
+        G.
+    """
+
+    by_nav: Array
+
+    def forward(self, cov: Array, noise: Array) -> Array:
+        """Grow the covariance; ``noise (n, 4, 4)`` is that of each new landmark."""
+        size, added, n = len(cov), len(self.by_nav), len(noise)
+        out = np.empty((size + added, size + added))
+        out[:size, :size] = cov
+        out[size:, :size] = self.by_nav @ cov[:NAV]
+        out[:size, size:] = out[size:, :size].T
+        own = out[size:, :NAV] @ self.by_nav.T
+        blocks = own.reshape(n, LANDMARK, n, LANDMARK)
+        each = np.arange(n)
+        blocks[each, :, each, :] += noise
+        out[size:, size:] = own
+        return out
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """``N <- G^T N G`` on the navigation state, the rest as it was."""
+        size = len(after.vectors) - len(self.by_nav)
+        information = after.information[:size, :size].copy()
+        mixed = self.by_nav.T @ after.information[size:]
+        information[:NAV] += mixed[:, :size]
+        information[:, :NAV] += mixed[:, :size].T
+        information[:NAV, :NAV] += mixed[:, size:] @ self.by_nav
+        vectors = after.vectors[:size].copy()
+        vectors[:NAV] += self.by_nav.T @ after.vectors[size:]
+        return Adjoint(information, vectors)
+
+
+@dataclass(frozen=True)
+class Keep(Step):
+    """Marginalise: only some components of the error stay.
+
+    Attributes
+    ----------
+    rows : (d,)
+        Which.
+    """
+
+    rows: BoolArray
+
+    def forward(self, cov: Array) -> Array:
+        """Cut the other rows and columns out."""
+        kept = np.flatnonzero(self.rows)
+        return cov.take(kept, axis=0).take(kept, axis=1)
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """Nothing more is said directly of what has gone."""
+        kept = np.flatnonzero(self.rows)
+        information = np.zeros((len(self.rows), len(self.rows)))
+        information[np.ix_(kept, kept)] = after.information
+        vectors = np.zeros((len(self.rows), after.vectors.shape[1]))
+        vectors[kept] = after.vectors
+        return Adjoint(information, vectors)
