@@ -121,6 +121,8 @@ class Estimate:
         Their marginal covariances [m^2].
     counts : dict
         What was dropped, waited for, rescued.
+    up : (3,) or None
+        Direction of up in the world; None if not estimated.
     """
 
     world_T_imu: Array
@@ -129,6 +131,7 @@ class Estimate:
     points_world: Array
     points_cov: Array | None
     counts: dict[str, int]
+    up: Array | None = None
 
 
 class Estimator(Protocol):
@@ -234,6 +237,7 @@ def run(
         points_world=np.empty((0, 3)) if estimate is None else estimate.points_world,
         points_cov=None if estimate is None else estimate.points_cov,
         counts={} if estimate is None else estimate.counts,
+        **({} if estimate is None or estimate.up is None else {"up": estimate.up}),
     )
 
 

@@ -1,13 +1,14 @@
 """A finished run of an estimator: all that evaluation ever sees of it, saved and loaded as one file."""
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vislam.files import replace_whole
+from vislam.geometry import se3, so3
 from vislam.types import Array, BoolArray, IntArray
 
 
@@ -45,6 +46,8 @@ class Run:
         Landmarks [m].
     counts : dict
         What was dropped, waited for, rescued.
+    up : (3,)
+        Direction of up in the world; z where the estimator does not know better.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Run:
     points_world: Array
     points_cov: Array | None
     counts: dict[str, int]
+    up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     @property
     def complete(self) -> bool:
@@ -79,6 +83,20 @@ class Run:
     def nis_per_dof(self) -> float:
         """Normalised innovation squared a degree of freedom; 0 where nothing was fused."""
         return float(self.nis.sum() / max(self.dof.sum(), 1))
+
+    def levelled(self) -> "Run":
+        """Return the run in a world whose z axis points up, with the same origin."""
+        turn = se3.from_rotation_translation(so3.onto(self.up, np.array([0.0, 0.0, 1.0])), np.zeros(3))
+        rotation = turn[:3, :3]
+        cov = self.points_cov
+        return replace(
+            self,
+            world_T_imu=turn @ self.world_T_imu,
+            world_T_imu_causal=turn @ self.world_T_imu_causal,
+            points_world=self.points_world @ rotation.T,
+            points_cov=None if cov is None else rotation @ cov @ rotation.T,
+            up=np.array([0.0, 0.0, 1.0]),
+        )
 
     def save(self, path: Path) -> None:
         """Write the run, whole or not at all."""

@@ -35,9 +35,11 @@ def write_npz(path: Path, run: Run) -> None:
         Camera times [s].
     ``world_T_imu``, ``world_T_imu_causal (T, 4, 4)``
         Poses of the body as known in the end, and as known at their own time.
-    ``pose_cov (T, 6, 6)``
-        Covariance of the causal pose, in the order (omega [rad], v [m]), of a perturbation on its right. NaN
-        where the estimator gave none.
+    ``pose_cov``, ``pose_cov_causal (T, 6, 6)``
+        Their covariances, in the order (omega [rad], v [m]), of a perturbation on the right. NaN where the
+        estimator gave none.
+    ``up (3,)``
+        Direction of up in the world; z where the estimator does not know better.
     ``track (m,)``, ``points_world (m, 3)``
         Ids of the landmarks and their places [m].
     ``points_cov (m, 3, 3)``
@@ -48,6 +50,8 @@ def write_npz(path: Path, run: Run) -> None:
         "world_T_imu": run.world_T_imu,
         "world_T_imu_causal": run.world_T_imu_causal,
         "pose_cov": run.pose_cov,
+        "pose_cov_causal": run.pose_cov_causal,
+        "up": run.up,
         "track": run.track,
         "points_world": run.points_world,
     }

@@ -95,6 +95,7 @@ class EkfEstimator:
             points_world=landmarks.points_world,
             points_cov=landmarks.points_cov,
             counts=counts,
+            up=None if self._problem.climb is None else up_axis(self.state.nav[TILT])[0],
         )
 
     def smooth(self) -> Smoothed:

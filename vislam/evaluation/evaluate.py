@@ -62,7 +62,8 @@ def evaluate(runs: Mapping[str, Run], reference: Reference | None) -> Evaluation
     reference : Reference or None
     """
     metrics: list[Metric] = []
-    for run in runs.values():
+    # What is planar, or a height, is so against the vertical, where a run knows it.
+    for run in (run.levelled() for run in runs.values()):
         if len(run.stamp) < 2:
             continue
         if reference is not None:

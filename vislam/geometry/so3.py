@@ -39,6 +39,17 @@ def log(rotation: Array) -> Array:
     return vectors.reshape(rotation.shape[:-1])
 
 
+def onto(one: Array, other: Array) -> Array:
+    """Smallest rotation ``(3, 3)`` that takes the direction of a vector ``(3,)`` to that of another."""
+    axis = np.cross(one, other)
+    sine, cosine = float(np.linalg.norm(axis)), float(one @ other)
+    if sine == 0.0 and cosine < 0.0:
+        # Opposite: half a turn about any axis across.
+        axis = np.cross(one, np.eye(3)[np.argmin(np.abs(one))])
+        return exp(np.pi * axis / np.linalg.norm(axis))
+    return exp(axis * (np.arctan2(sine, cosine) / sine)) if sine > 0.0 else np.eye(3)
+
+
 def defect(matrix: Array) -> tuple[Array, Array]:
     """How far matrices ``(..., 3, 3)`` are from rotations: max ``|R^T R - 1|``, and the determinant.
 

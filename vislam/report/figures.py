@@ -23,7 +23,7 @@ _SMOOTHING = 25
 
 def all_figures(runs: Mapping[str, Run], reference: Reference | None, *, title: str) -> dict[str, Figure]:
     """Every figure of a comparison, by file name."""
-    shown = {name: run for name, run in runs.items() if len(run.stamp) > 2}
+    shown = {name: run.levelled() for name, run in runs.items() if len(run.stamp) > 2}
     figures = {
         "top_view": top_view(shown, reference, title=title),
         "height_attitude": height_attitude(shown, reference),
@@ -112,8 +112,8 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
             color=colour,
             label=name,
         )
-        if np.isfinite(run.pose_cov).any() and run.dof.sum() > 0:
-            spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov[:, 3:, 3:])[:, -1])
+        if np.isfinite(run.pose_cov_causal).any() and run.dof.sum() > 0:
+            spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov_causal[:, 3:, 3:])[:, -1])
             axes.fill_between(
                 driven,
                 _SMALLEST_ERROR,
