@@ -65,9 +65,11 @@ class Chart:
         """Derivative ``(n, 3, 6)`` of the coordinates by a motion (omega, v) of the anchor frame."""
         homogeneous = self.homogeneous(q)
         by_motion = np.zeros((len(q), 4, 6))
-        by_motion[:, :3, :3] = -so3.hat(homogeneous[:, :3])
-        by_motion[:, [0, 1, 2], [3, 4, 5]] = homogeneous[:, 3, None]
-        return self.coordinates_jacobian(homogeneous) @ by_motion
+        by_motion[:, :3, :3] = so3.hat(-homogeneous[:, :3])
+        for axis in range(3):
+            by_motion[:, axis, 3 + axis] = homogeneous[:, 3]
+        by_motion -= homogeneous[:, :, None] * by_motion[:, self.one, None, :]
+        return np.asarray(self._inverse @ by_motion)
 
     def points(self, q: Array) -> tuple[Array, Array]:
         """Euclidean points ``(n, 3)`` [m] in the anchor, and their derivatives ``(n, 3, 3)``."""

@@ -68,7 +68,7 @@ class EkfEstimator:
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
-        self._see_off(_seen(self.state.track, frame.track))
+        self._see_off(_places(self.state.track, frame.track) >= 0)
         if self._recorder is None:
             record = self._advance(self.state, frame, refused)
         else:
@@ -110,12 +110,13 @@ class EkfEstimator:
 
     def _advance(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
-        seen = _seen(state.track, frame.track)
+        rows = _places(state.track, frame.track)
+        seen = rows >= 0
         if not seen.all():
             state.keep(seen)
+            rows = rows[seen]
         if frame.k > 0:
             self._predict(state, frame)
-        rows = _places(state.track, frame.track)
         fused, gated, update = self._fuse(state, frame, rows, ~refused[rows])
         self._climb(state)
         new = ~refused
@@ -307,15 +308,13 @@ class _Innovation:
         return Update.of(part, self.projected[rows], self.spread[np.ix_(rows, rows)], self.value[rows])
 
 
-def _seen(track: IntArray, in_frame: IntArray) -> BoolArray:
-    """Which tracks ``(n,)`` are in a frame."""
-    return np.isin(track, in_frame, assume_unique=True)
-
-
 def _places(track: IntArray, in_frame: IntArray) -> IntArray:
-    """Where in a frame tracks ``(n,)`` are which it has."""
+    """Where in a frame tracks ``(n,)`` are; -1 for those it does not have."""
+    if not len(in_frame):
+        return np.full(len(track), -1)
     order = np.argsort(in_frame)
-    return np.asarray(order[np.searchsorted(in_frame, track, sorter=order)])
+    place = order[np.minimum(np.searchsorted(in_frame, track, sorter=order), len(order) - 1)]
+    return np.where(in_frame[place] == track, place, -1)
 
 
 def _log_density(update: Update, dof: int) -> float:

@@ -255,8 +255,10 @@ class Reset(Step):
     def forward(self, cov: Array) -> None:
         """``M P M^T``."""
         if self.others is not None:
-            cov[_OTHERS] += self.others @ cov[POSE]
-            cov[:, _OTHERS] += cov[:, POSE] @ self.others.T
+            # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
+            b = np.concatenate([np.zeros((6, 6)), self.others])
+            half = cov[:, POSE] + 0.5 * b @ cov[POSE, POSE]
+            cov += np.hstack([b, half]) @ np.hstack([half, b]).T
         cov[POSE] = self.pose @ cov[POSE]
         cov[:, POSE] = cov[:, POSE] @ self.pose.T
 

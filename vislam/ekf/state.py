@@ -189,7 +189,8 @@ class JointState:
 
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: their rows and columns go."""
-        self._note(self.farewell(np.flatnonzero(~mask)))
+        if self.steps is not None:
+            self.steps.append(self.farewell(np.flatnonzero(~mask)))
         step = Keep(np.concatenate([np.ones(NAV, bool), np.repeat(mask, LANDMARK)]))
         self.cov = step.forward(self.cov)
         self._note(step)

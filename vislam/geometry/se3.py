@@ -24,16 +24,17 @@ def from_rotation_translation(rotation: Array, translation: Array) -> Array:
 
 def inverse(pose: Array) -> Array:
     """Inverse of a rigid transform, ``(..., 4, 4)``."""
-    transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
-    return from_rotation_translation(transposed, -np.einsum("...ij,...j->...i", transposed, pose[..., :3, 3]))
+    out = np.zeros(pose.shape)
+    out[..., :3, :3] = np.swapaxes(pose[..., :3, :3], -1, -2)
+    out[..., :3, 3] = -(out[..., :3, :3] @ pose[..., :3, 3, None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
 
 
 def exp(xi: Array) -> Array:
     """Pose ``(..., 4, 4)`` of a tangent vector ``(..., 6)`` = (omega [rad], v [m])."""
     omega, v = xi[..., :3], xi[..., 3:]
-    return from_rotation_translation(
-        so3.exp(omega), np.einsum("...ij,...j->...i", so3.left_jacobian(omega), v)
-    )
+    return from_rotation_translation(so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0])
 
 
 def log(pose: Array) -> Array:

@@ -28,9 +28,11 @@ def hat(omega: Array) -> Array:
 
 
 def exp(omega: Array) -> Array:
-    """Rotation matrix of a rotation vector ``(..., 3)`` [rad]; returns ``(..., 3, 3)``."""
-    matrices: Array = Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix()
-    return matrices.reshape(*omega.shape, 3)
+    """Rotation matrix ``(..., 3, 3)`` of a rotation vector ``(..., 3)`` [rad], by Rodrigues' formula."""
+    angle = np.linalg.norm(omega, axis=-1)
+    matrix = hat(omega)
+    first, second = np.sinc(angle / np.pi), cosine_coefficient(angle)
+    return np.eye(3) + first[..., None, None] * matrix + second[..., None, None] * (matrix @ matrix)
 
 
 def log(rotation: Array) -> Array:
@@ -72,10 +74,8 @@ def left_jacobian(omega: Array) -> Array:
 
 
 def cosine_coefficient(angle: Array) -> Array:
-    """``(1 - cos a) / a^2``, by its series near zero."""
-    safe = np.where(angle < _SMALL_ANGLE, 1.0, angle)
-    closed = (1.0 - np.cos(safe)) / safe**2
-    return np.where(angle < _SMALL_ANGLE, 0.5 - angle**2 / 24.0, closed)
+    """``(1 - cos a) / a^2``, written as half a squared sine so that no digits are lost near zero."""
+    return np.asarray(0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2)
 
 
 def sine_coefficient(angle: Array) -> Array:

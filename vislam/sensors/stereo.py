@@ -6,6 +6,7 @@ two images. It carries the same information on pose and landmark as the report's
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class StereoRig:
     baseline: float
     imu_T_cam: Array
 
-    @property
+    @cached_property
     def cam_T_imu(self) -> Array:
         """Pose of the body in the left camera, ``(4, 4)``."""
         return se3.inverse(self.imu_T_cam)
