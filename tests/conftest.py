@@ -1,10 +1,12 @@
 """Shared fixtures: simulated problems, and the recorded files where they are."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.source import Dataset, open_dataset
@@ -23,6 +25,13 @@ SHORT = SimulationConfig(
     gyro_sigma=0.002,
     velocity_sigma=0.02,
 )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread() -> Iterator[None]:
+    """Small matrices: more threads of the linear algebra only get in each other's way."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture

@@ -172,6 +172,9 @@ class Config:
 def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     """Load a configuration file.
 
+    A file may build on another, named by ``extends`` relative to itself: its own values go over those of the
+    other, key by key in sections; ``estimators`` is replaced as a whole.
+
     Parameters
     ----------
     path : Path
@@ -189,8 +192,32 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     return parse(Config, tree)
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Read a configuration file as plain data; a ConfigError says what is wrong with it."""
+def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a configuration file, laid over those it builds on, as plain data.
+
+    ``above`` are files that build on it. A ConfigError says what is wrong with it.
+    """
+    tree = _read_one(path)
+    base = tree.pop("extends", None)
+    if base is None:
+        return tree
+    if not isinstance(base, str):
+        raise ConfigError(f"{path}: extends: expected a file name, got {base!r}")
+    if path.resolve() in above:
+        raise ConfigError(f"{path}: extends: the files build on each other in a circle")
+    return _over(read(path.parent / base, above=(*above, path.resolve())), tree)
+
+
+def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Lay one tree over another."""
+    merged = dict(base)
+    for key, value in own.items():
+        inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key != "estimators"
+        merged[key] = _over(merged[key], value) if inside else value
+    return merged
+
+
+def _read_one(path: Path) -> dict[str, Any]:
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -11,9 +11,9 @@ from vislam.estimator import Problem
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {},
     "ekf_iterated": {"iterations": 5},
-    "ekf_fej": {"error": "first_estimates"},
-    "ekf_invariant": {"error": "invariant"},
-    "eks": {"smoothed": True},
+    "ekf_fej": {"error": "first_estimates", "landmarks": "disparity"},
+    "ekf_invariant": {"error": "invariant", "landmarks": "disparity"},
+    "eks": {"error": "invariant", "landmarks": "disparity", "smoothed": True},
 }
 """What each member sets; its config section may set the rest, or these again."""
 
@@ -45,5 +45,5 @@ def build_invariant(problem: Problem, options: Mapping[str, Any]) -> EkfEstimato
 
 
 def build_smoother(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the filter whose poses are smoothed in the end."""
+    """Build the invariant filter whose poses are smoothed in the end."""
     return _member("eks", problem, options)

@@ -165,6 +165,24 @@ class JointState:
             reset.forward(self.cov)
             self._note(reset)
 
+    def seen_after(self, correction: Array) -> tuple[Array, Array]:
+        """Pose ``(4, 4)`` and change of the landmarks ``(n, 4)`` that look as a correction would have it.
+
+        That of the ``invariant`` form moves pose and anchors together, which nothing can be seen of.
+        """
+        own = correction[NAV:].reshape(-1, LANDMARK)
+        if self.form != "invariant":
+            return se3.retract(self.world_T_imu, correction[POSE]), own
+        own = own.copy()
+        own[:, :3] -= self._moved() @ correction[POSE]
+        return self.world_T_imu, own
+
+    def by_pose_before(self, correction: Array, by_pose: Array, by_coordinates: Array) -> Array:
+        """Derivative ``(n, m, 6)`` of measurements by the pose error before a correction from that after it."""
+        if self.form == "invariant":
+            return -by_coordinates @ self._moved()
+        return by_pose @ se3.right_jacobian(correction[POSE])
+
     def append(
         self, track: IntArray, anchors: Array, landmarks: Array, *, by_nav: Array, noise: Array
     ) -> None:

@@ -1,0 +1,199 @@
+"""What the filter may estimate or weigh beside pose, bias and landmarks: planted, and found again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import from_first
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.config import ClimbConfig, Config, DataConfig
+from vislam.data.source import Dataset, open_dataset
+from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.ekf.layout import CLOCK, OFFSET, TILT
+from vislam.ekf.linear import Update
+from vislam.ekf.state import JointState
+from vislam.errors import ConfigError
+from vislam.estimator import find, run
+from vislam.evaluation import evaluate
+from vislam.repair import RepairConfig
+from vislam.repair.inertial import Clock
+from vislam.repair.pixels import Disparity
+from vislam.run import Run
+from vislam.types import Array
+
+INVARIANT = {"error": "invariant", "landmarks": "disparity"}
+
+
+def drive(
+    short_config: Config, *, seed: int, noise=None, repair=None, **simulation
+) -> tuple[Config, Dataset]:
+    """A longer drive like the short one, and its config."""
+    longer = replace(short_config.data.simulation, frames=150, **simulation)
+    data = DataConfig(simulation=longer, repair=repair or short_config.data.repair)
+    config = replace(short_config, data=data, noise=replace(short_config.noise, **(noise or {})))
+    return config, open_dataset(config.data, seed=seed)
+
+
+def filtered(config: Config, dataset: Dataset, **options) -> tuple[Run, EkfEstimator]:
+    estimator = EkfEstimator(make_problem(config, dataset), EkfOptions(**{**INVARIANT, **options}))
+    found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
+    assert found.complete, found.error
+    return found, estimator
+
+
+@pytest.mark.parametrize(("taken_for", "left"), [(None, 0.03), (0.05, -0.02)])
+def test_a_clock_offset_is_found(short_config: Config, taken_for, left):
+    """With good samples: noise in them, averaged best half-way between two, draws the clock there."""
+    repair = short_config.data.repair
+    if taken_for is not None:
+        repair = replace(repair, clock=Clock(offset=taken_for))
+    root = np.sqrt(0.1046)
+    config, dataset = drive(
+        short_config,
+        seed=5,
+        noise={"clock_sigma": 0.05, "twist_density": (2e-4 * root,) * 3 + (2e-3 * root,) * 3},
+        repair=repair,
+        clock_offset=0.03,
+        gyro_sigma=2e-4,
+        velocity_sigma=2e-3,
+    )
+    _, estimator = filtered(config, dataset)
+    sigma = np.sqrt(estimator.state.cov[CLOCK, CLOCK])
+    assert sigma < 0.003
+    assert abs(estimator.state.nav[CLOCK] - left) < 0.003
+
+
+def test_a_disparity_offset_is_found(short_config: Config):
+    config, dataset = drive(
+        short_config,
+        seed=6,
+        noise={"disparity_offset_sigma_px": 1.0, "match_px": 0.0},
+        disparity_offset_px=-0.4,
+        match_px=0.0,
+    )
+    _, estimator = filtered(config, dataset)
+    state = estimator.state
+    sigma = np.sqrt(state.cov[OFFSET, OFFSET])
+    assert sigma < 0.05
+    assert abs(state.nav[OFFSET] + 0.4) < 4.0 * sigma
+
+
+def test_a_state_with_no_prior_spread_stays_what_it_is(short_config: Config):
+    fixed = (0.0, 0.0, 0.0, 0.0, 0.05, 0.02)
+    config, dataset = drive(
+        short_config, seed=7, noise={"bias_sigma": fixed, "bias_walk": (0.0,) * 4 + (5e-4,) * 2}
+    )
+    found, estimator = filtered(config, dataset)
+    assert np.all(found.bias[:, :4] == 0.0)
+    assert np.all(found.bias[-1, 4:] != 0.0)
+    assert estimator.state.nav[CLOCK] == estimator.state.nav[OFFSET] == 0.0
+
+
+def climbing(
+    short_config: Config, *, climb: ClimbConfig | None, **options
+) -> tuple[Run, Dataset, EkfEstimator]:
+    """A hilly drive with a levelled velocity, whose gyro's roll and pitch are poor."""
+    repair = RepairConfig(consensus=None, levelled_velocity=True)
+    density = (0.01, 0.01, *short_config.noise.twist_density[2:])
+    config, dataset = drive(
+        short_config,
+        seed=8,
+        noise={"climb": climb, "twist_density": density},
+        repair=repair,
+        hills_m=10.0,
+        levelled_velocity=True,
+        gyro_sigma=0.01,
+    )
+    found, estimator = filtered(config, dataset, **options)
+    return found, dataset, estimator
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"error": "standard", "landmarks": "point"}], ids=["invariant", "ekf"]
+)
+def test_the_climb_rate_holds_the_height(short_config: Config, options):
+    with_climb, dataset, estimator = climbing(short_config, climb=ClimbConfig(), **options)
+    without, _, _ = climbing(short_config, climb=None, **options)
+    height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
+    found = with_climb.levelled().world_T_imu[:, 2, 3]
+    assert np.abs(found - height).max() < 0.3
+    lost = from_first(dataset.reference.pose)[:, 2, 3] - without.world_T_imu[:, 2, 3]
+    assert np.abs(lost).max() > 2.0 * np.abs(found - height).max()
+    # The vertical in the body's first frame, which is the world.
+    true_up = dataset.reference.pose[0, 2, :3]
+    sigma = np.sqrt(np.diagonal(estimator.state.cov)[TILT])
+    assert np.linalg.norm(with_climb.up - true_up) < 4.0 * np.linalg.norm(sigma) + 0.003
+    metrics = evaluate({"ekf": with_climb}, None)
+    assert np.isclose(metrics.value("ekf", "height_end"), found[-1])
+
+
+def test_the_climb_rate_needs_to_be_there(short: Dataset, short_config: Config):
+    config = replace(short_config, noise=replace(short_config.noise, climb=ClimbConfig()))
+    with pytest.raises(ConfigError, match=r"noise\.climb: simulation has no climb rate"):
+        make_problem(config, short)
+
+
+def test_who_cannot_take_the_same_information_says_so(short: Dataset, short_config: Config):
+    config = replace(short_config, noise=replace(short_config.noise, clock_sigma=0.01))
+    with pytest.raises(ConfigError, match=r"isam2: has no use for noise\.clock_sigma"):
+        find("isam2")(make_problem(config, short), {})
+
+
+@pytest.mark.parametrize("robust", ["huber", "student"])
+def test_robust_weights_bear_outliers_that_nothing_gates(short_config: Config, robust):
+    repair = RepairConfig(consensus=None, disparity=Disparity(row_difference_px=100.0))
+    config, dataset = drive(short_config, seed=9, repair=repair, outlier_probability=0.03)
+    plain, _ = filtered(config, dataset, gate=False)
+    weighted, _ = filtered(config, dataset, gate=False, robust=robust)
+    runs = {"plain": replace(plain, name="plain"), "robust": replace(weighted, name="robust")}
+    score = evaluate(runs, dataset.reference)
+    assert score.value("robust", "ate_rmse") < 0.7 * score.value("plain", "ate_rmse")
+
+
+@pytest.mark.parametrize(
+    "form", [{"error": "standard", "landmarks": "point"}, INVARIANT], ids=["ekf", "invariant"]
+)
+def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config: Config, form, monkeypatch):
+    """There the correction is ``P H^T R^-1`` times what is left of the innovation, H taken there, too."""
+    problem = make_problem(short_config, short)
+    estimator = EkfEstimator(problem, EkfOptions(gate=False, iterations=20, finished="as_left", **form))
+    checked = []
+
+    def check(state: JointState, update: Update) -> None:
+        correction = update.correction
+        predicted, _ = estimator._camera.predict(*_seen_from(state, correction), offset=0.0)
+        left = (seen.pop() - predicted).reshape(-1) / np.tile(problem.track_noise.sigma**2, len(predicted))
+        pull = update.jacobian.transposed_times(left[:, None], size=len(state.cov))
+        scale = np.sqrt(np.diagonal(state.cov)) + 1e-12
+        checked.append(np.abs((state.cov @ pull)[:, 0] - correction) / scale)
+        true(state, update)
+
+    true, seen = JointState.correct, []
+    monkeypatch.setattr(JointState, "correct", check)
+    for frame in short.sequence.frames(pixel_sigma(short_config, short)):
+        order = {int(track): row for row, track in enumerate(frame.track)}
+        known = [order[int(track)] for track in estimator.state.track if int(track) in order]
+        seen[:] = [frame.z[known]]
+        estimator.process(frame, np.zeros(len(frame.track), bool))
+    assert len(checked) > 15
+    assert max(change.max() for change in checked) < 5e-3
+
+
+def _seen_from(state: JointState, correction: Array) -> tuple[Array, Array, Array]:
+    pose, own = state.seen_after(correction)
+    return pose, state.anchors, state.landmarks + own
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"iterations": 3, "error": "first_estimates"}, "Jacobians at first estimates stay"),
+        ({"smoothed": True, "finished": "as_left"}, "smoothed poses need the way back"),
+        ({"landmarks": "line"}, r"ekf\.landmarks: .*'point' or 'disparity', got 'line'"),
+    ],
+)
+def test_options_without_a_meaning_get_a_line(short: Dataset, short_config: Config, options, message):
+    with pytest.raises(ConfigError, match=message):
+        find("ekf")(make_problem(short_config, short), options)
