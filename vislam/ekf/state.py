@@ -178,7 +178,7 @@ class JointState:
         return self.world_T_imu, own
 
     def by_pose_before(self, correction: Array, by_pose: Array, by_coordinates: Array) -> Array:
-        """Derivative ``(n, m, 6)`` of measurements by the pose error before a correction from that after it."""
+        """Derivative ``(n, m, 6)`` of measurements by the pose error before a correction from that after."""
         if self.form == "invariant":
             return -by_coordinates @ self._moved()
         return by_pose @ se3.right_jacobian(correction[POSE])
