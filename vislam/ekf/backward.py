@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from vislam.data.sequence import Frame
-from vislam.ekf.layout import SHARED
+from vislam.ekf.chart import Chart
 from vislam.ekf.linear import Adjoint, Step
 from vislam.ekf.state import Farewell, JointState, PoseRows
 from vislam.estimator import StepRecord
@@ -164,7 +164,7 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
     covs: list[Array] = []
     for step in recorder.backwards():
         if isinstance(step, Farewell):
-            landmarks.append(_told(step, adjoint, state))
+            landmarks.append(_told(step, adjoint, state.chart))
         elif isinstance(step, PoseRows):
             error, loss, _ = adjoint.expected(step.rows)
             poses.append(se3.retract(step.world_T_imu, error))
@@ -180,26 +180,20 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
 
 def as_left(state: JointState, slots: IntArray) -> Landmarks:
     """Landmarks as known now."""
-    return _told(state.farewell(slots), Adjoint.of_the_last(len(state.cov)), state)
+    return _told(state.farewell(slots), Adjoint.of_the_last(len(state.cov)), state.chart)
 
 
-def _told(left: Farewell, adjoint: Adjoint, last: JointState) -> Landmarks:
+def _told(left: Farewell, adjoint: Adjoint, chart: Chart) -> Landmarks:
     """Landmarks that have left, as all data together say."""
     n, each = len(left.track), np.arange(len(left.track))
     error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
-    cross = cross.reshape(n, 3, 12)
-    own_cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
-    moved, moved_back = left.moved, left.moved.transpose(0, 2, 1)
-    q = left.q + error.reshape(n, 3) + moved @ last.shared
-    mixed = cross[:, :, 6:] @ moved_back
-    cov = own_cov + mixed + mixed.transpose(0, 2, 1) + moved @ last.cov[SHARED, SHARED] @ moved_back
-    with_pose = cross[:, :, :6] + moved @ last.cov[SHARED, POSE]
-    anchors = last.world_motion @ left.anchors
-    points, jacobian = last.chart.points(q)
-    turned = anchors[:, :3, :3] @ jacobian
+    q = left.q + error.reshape(n, 3)
+    cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
+    points, jacobian = chart.points(q)
+    turned = left.anchors[:, :3, :3] @ jacobian
     return Landmarks(
         track=left.track,
-        points_world=(anchors[:, :3, :3] @ points[:, :, None])[:, :, 0] + anchors[:, :3, 3],
+        points_world=(left.anchors[:, :3, :3] @ points[:, :, None])[:, :, 0] + left.anchors[:, :3, 3],
         points_cov=turned @ cov @ turned.transpose(0, 2, 1),
-        points_pose_cov=turned @ with_pose,
+        points_pose_cov=turned @ cross.reshape(n, 3, 6),
     )

@@ -163,17 +163,15 @@ class DenseFilter:
             (pose, sum_ + error[self.place["pose", k]]) for k, (pose, sum_) in enumerate(self._past)
         ]
         own = np.array([error[self.place["landmark", track]] for track in self.track])
+        if self._form == "standard":
+            self.landmarks = self.landmarks + own
+            return
         reset = np.eye(len(self.cov))
-        kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
-        if self._form == "invariant":
-            shared = self._shared(before)
-            own[:, :3] -= shared @ error[POSE]
-            self.anchors = self.world_T_imu @ se3.inverse(before) @ self.anchors
+        reset[POSE, POSE] = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
+        shared = self._shared(before)
         self.landmarks = self.landmarks + own
-        if self._form != "standard":
-            reset[POSE, POSE] = kept
         if self._form == "invariant":
-            for track, change in zip(self.track, self._shared(self.world_T_imu) @ kept - shared, strict=True):
+            for track, change in zip(self.track, self._shared(before) - shared, strict=True):
                 start = self.place["landmark", track].start
                 reset[start : start + 3, POSE] = change
         self.cov = reset @ self.cov @ reset.T

@@ -15,6 +15,7 @@ from vislam.ekf.measurement import Camera, up_axis
 from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.geometry import se3
 from vislam.motion import BIAS, POSE
 from vislam.sensors import TrackNoise
 from vislam.types import Array, BoolArray, IntArray
@@ -200,14 +201,14 @@ class EkfEstimator:
         pose, landmarks, offset = state.world_T_imu, state.landmarks, float(state.nav[OFFSET])
         at = state.linearised_at
         if correction is not None:
-            pose, own = state.seen_after(correction)
-            at = landmarks = landmarks + own
+            pose = se3.retract(pose, correction[POSE])
+            at = landmarks = landmarks + correction[NAV:].reshape(-1, LANDMARK)
             offset += float(correction[OFFSET])
         predicted, depth = camera.predict(pose, anchors, landmarks, offset=offset)
         by_nav, by_landmark = camera.jacobians(pose, anchors, at)
         value = (z - predicted).reshape(-1)
         if correction is not None:
-            by_nav[:, :, POSE] = state.by_pose_before(correction, by_nav[:, :, POSE], by_landmark[:, :, :3])
+            by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
         jacobian = Jacobian(by_nav.reshape(-1, NAV), by_landmark, None)
         if correction is not None:
             value = value + jacobian.times(correction[:, None])[:, 0]

@@ -12,10 +12,7 @@ TILT = slice(14, 16)
 """Turn of the true vertical against the world's z axis, about x and y [rad]."""
 CLIMB = 16
 """Error of the integrated climb rate [m]."""
-SHARED = slice(17, 23)
-"""By how much more than their own errors landmarks that have left are off, as a motion of the world before
-all corrections; only the ``invariant`` form moves it."""
-NAV = 23
+NAV = 17
 """Size of the navigation state."""
 LANDMARK = 4
 """Size of a landmark: three coordinates, and the error of its match (``vislam.sensors.noise``)."""

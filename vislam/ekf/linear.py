@@ -17,12 +17,10 @@ import numpy as np
 from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from vislam.ekf.layout import LANDMARK, NAV, SHARED
+from vislam.ekf.layout import LANDMARK, NAV
 from vislam.errors import DivergedError
 from vislam.motion import POSE
 from vislam.types import Array, BoolArray, IntArray
-
-_OTHERS = slice(POSE.stop, None)
 
 
 @dataclass
@@ -33,8 +31,8 @@ class Adjoint:
     ----------
     information : (d, d)
         N.
-    vectors : (d, 13)
-        r, and Psi for the last pose and for the last ``SHARED``.
+    vectors : (d, 7)
+        r, and the six columns of Psi.
     """
 
     information: Array
@@ -43,9 +41,8 @@ class Adjoint:
     @classmethod
     def of_the_last(cls, size: int) -> "Adjoint":
         """Adjoint after the last step: nothing more is said, and what comes last is what there is."""
-        vectors = np.zeros((size, 13))
-        vectors[POSE, 1:7] = np.eye(6)
-        vectors[SHARED, 7:] = np.eye(6)
+        vectors = np.zeros((size, 7))
+        vectors[POSE, 1:] = np.eye(6)
         return cls(np.zeros((size, size)), vectors)
 
     def expected(self, rows: Array) -> tuple[Array, Array, Array]:
@@ -61,8 +58,8 @@ class Adjoint:
         mean : (k,)
         loss : (k, k)
             By how much their covariance is smaller than without later data.
-        cross : (k, 12)
-            Their covariance with the last pose and the last ``SHARED``.
+        cross : (k, 6)
+            Their covariance with the last pose.
         """
         found = rows @ self.vectors
         return found[:, 0], rows @ self.information @ rows.T, found[:, 1:]
@@ -239,24 +236,24 @@ class Move(Step):
 
 @dataclass(frozen=True)
 class Reset(Step):
-    """New coordinates of the error: ``others <- others + B pose``, then ``pose <- A pose``.
+    """New coordinates of the error: ``landmarks <- landmarks + B pose``, then ``pose <- A pose``.
 
     Attributes
     ----------
     pose : (6, 6)
         A.
-    others : (d - 6, 6) or None
-        B, for all that is not the pose; None for zero.
+    landmarks : (d - NAV, 6) or None
+        B; None for zero.
     """
 
     pose: Array
-    others: Array | None
+    landmarks: Array | None
 
     def forward(self, cov: Array) -> None:
         """``M P M^T``."""
-        if self.others is not None:
+        if self.landmarks is not None:
             # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
-            b = np.concatenate([np.zeros((6, 6)), self.others])
+            b = np.concatenate([np.zeros((NAV, 6)), self.landmarks])
             half = cov[:, POSE] + 0.5 * b @ cov[POSE, POSE]
             cov += np.hstack([b, half]) @ np.hstack([half, b]).T
         cov[POSE] = self.pose @ cov[POSE]
@@ -268,10 +265,10 @@ class Reset(Step):
         information[POSE] = self.pose.T @ information[POSE]
         information[:, POSE] = information[:, POSE] @ self.pose
         vectors[POSE] = self.pose.T @ vectors[POSE]
-        if self.others is not None:
-            information[POSE] += self.others.T @ information[_OTHERS]
-            information[:, POSE] += information[:, _OTHERS] @ self.others
-            vectors[POSE] += self.others.T @ vectors[_OTHERS]
+        if self.landmarks is not None:
+            information[POSE] += self.landmarks.T @ information[NAV:]
+            information[:, POSE] += information[:, NAV:] @ self.landmarks
+            vectors[POSE] += self.landmarks.T @ vectors[NAV:]
         return after
 
 

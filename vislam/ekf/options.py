@@ -20,7 +20,7 @@ class EkfOptions:
     """What a landmark's numbers are: a ``point`` in the world, or column, row and ``disparity`` in its first
     camera."""
     iterations: int = 1
-    """Most Gauss-Newton steps of an update; more than one not with first estimates."""
+    """Most Gauss-Newton steps of an update; more than one only with the standard error."""
     gate: bool = True
     """Refuse observations by a chi-square test of their innovation."""
     robust: Literal["none", "huber", "student"] = "none"
@@ -40,9 +40,7 @@ class EkfOptions:
         """Refuse what has no meaning together."""
         if self.iterations < 1:
             raise ValueError(f"iterations must be at least 1, got {self.iterations}")
-        if self.iterations > 1 and self.error == "first_estimates":
-            raise ValueError(
-                "iterations: Jacobians at first estimates stay what they are, error must be another"
-            )
+        if self.iterations > 1 and self.error != "standard":
+            raise ValueError(f"iterations: only the standard error can be iterated, error is {self.error}")
         if self.smoothed and self.finished == "as_left":
             raise ValueError("smoothed poses need the way back: finished must be smoothed")

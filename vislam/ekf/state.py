@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from vislam.ekf.chart import Chart
-from vislam.ekf.layout import LANDMARK, NAV, SHARED
+from vislam.ekf.layout import LANDMARK, NAV
 from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.errors import DivergedError
 from vislam.geometry import se3
@@ -20,21 +20,15 @@ ErrorForm = Literal["standard", "first_estimates", "invariant"]
 class Farewell(Step):
     """Landmarks about to leave the state: what later data say about them is asked for on the way back.
 
-    Their errors are those of their own: from now on nothing changes these but what is learnt.
-
     Attributes
     ----------
     track : (n,)
     q : (n, 3)
-        Their coordinates, less what they share with all others that have left.
+        Their coordinates.
     anchors : (n, 4, 4)
-        Their anchors before all corrections, so that ``world_motion`` takes them to where they are.
     rows : (n, 3, d)
-        Covariance of their own errors with the whole state.
+        Covariance of their coordinates with the whole state.
     cov : (n, 3, 3)
-        Covariances of their own errors.
-    moved : (n, 3, 6)
-        Derivative of the coordinates by what they share (``SHARED``); zero but for ``invariant``.
     """
 
     track: IntArray
@@ -42,7 +36,6 @@ class Farewell(Step):
     anchors: Array
     rows: Array
     cov: Array
-    moved: Array
 
 
 @dataclass(frozen=True)
@@ -70,10 +63,10 @@ class JointState:
     * ``first_estimates``: the pose error keeps its meaning in the world, and Jacobians are taken at
       ``first``. Huang, Mourikis, Roumeliotis, *A first-estimates Jacobian EKF for improving SLAM
       consistency* (ISER 2008).
-    * ``invariant``: error and correction are those of a rigid motion of pose, anchors and landmarks together,
-      after which each landmark still has an error of its own; so what cannot be observed (where the world
-      is) stays one and the same subspace. Barrau and Bonnabel, *An EKF-SLAM algorithm with consistency
-      properties* (2015), in coordinates of any chart.
+    * ``invariant``: errors keep their meaning as a rigid motion of pose and landmarks together, and what each
+      landmark is off beside it; so what cannot be observed (where the world is) stays one and the same
+      subspace. Barrau and Bonnabel, *An EKF-SLAM algorithm with consistency properties* (2015), in the
+      coordinates of any chart. Of a landmark that has left this changes nothing.
 
     Attributes
     ----------
@@ -86,10 +79,6 @@ class JointState:
     landmarks, first : (n, 4)
         Landmarks as estimated now, and as first estimated.
     cov : (NAV + 4n, NAV + 4n)
-    world_motion : (4, 4)
-        What all corrections together have moved the anchors by; the identity but for ``invariant``.
-    shared : (6,)
-        Correction of landmarks that have left, beyond those of their own errors (``SHARED``).
     steps : list of Step or None
         Where steps are noted for the way back.
     """
@@ -104,8 +93,6 @@ class JointState:
         self.landmarks: Array = np.empty((0, LANDMARK))
         self.first: Array = np.empty((0, LANDMARK))
         self.cov: Array = np.diag(sigma**2)
-        self.world_motion: Array = np.eye(4)
-        self.shared: Array = np.zeros(6)
         self.steps: list[Step] | None = None
 
     def copy(self) -> "JointState":
@@ -113,7 +100,6 @@ class JointState:
         other = JointState(self.chart, self.form, nav=self.nav, sigma=np.zeros(NAV))
         other.world_T_imu, other.track, other.anchors = self.world_T_imu, self.track, self.anchors
         other.landmarks, other.first, other.cov = self.landmarks, self.first, self.cov.copy()
-        other.world_motion, other.shared = self.world_motion, self.shared
         return other
 
     @property
@@ -165,24 +151,6 @@ class JointState:
             reset.forward(self.cov)
             self._note(reset)
 
-    def seen_after(self, correction: Array) -> tuple[Array, Array]:
-        """Pose ``(4, 4)`` and change of the landmarks ``(n, 4)`` that look as a correction would have it.
-
-        That of the ``invariant`` form moves pose and anchors together, which nothing can be seen of.
-        """
-        own = correction[NAV:].reshape(-1, LANDMARK)
-        if self.form != "invariant":
-            return se3.retract(self.world_T_imu, correction[POSE]), own
-        own = own.copy()
-        own[:, :3] -= self._moved() @ correction[POSE]
-        return self.world_T_imu, own
-
-    def by_pose_before(self, correction: Array, by_pose: Array, by_coordinates: Array) -> Array:
-        """Derivative ``(n, m, 6)`` of measurements by the pose error before a correction from that after."""
-        if self.form == "invariant":
-            return -by_coordinates @ self._moved()
-        return by_pose @ se3.right_jacobian(correction[POSE])
-
     def append(
         self, track: IntArray, anchors: Array, landmarks: Array, *, by_nav: Array, noise: Array
     ) -> None:
@@ -218,17 +186,14 @@ class JointState:
     def farewell(self, slots: IntArray) -> "Farewell":
         """What is known of some landmarks now."""
         rows = self.cov[NAV:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
-        q, anchors = self.landmarks[slots, :3], self.anchors[slots]
-        moved = np.zeros((len(slots), 3, 6))
-        if self.form == "invariant":
-            anchors = se3.inverse(self.world_motion) @ anchors
-            moved = self.chart.moved(q) @ se3.adjoint(se3.inverse(anchors))
-            q = q - moved @ self.shared
-            rows = rows - moved @ self.cov[SHARED]
         columns = NAV + LANDMARK * slots[:, None] + np.arange(3)
-        cov = np.take_along_axis(rows, columns[:, None, :], axis=2)
-        cov = cov - rows[:, :, SHARED] @ moved.transpose(0, 2, 1)
-        return Farewell(self.track[slots], q, anchors, rows, cov, moved)
+        return Farewell(
+            track=self.track[slots],
+            q=self.landmarks[slots, :3],
+            anchors=self.anchors[slots],
+            rows=rows,
+            cov=np.take_along_axis(rows, columns[:, None, :], axis=2),
+        )
 
     def note_pose(self) -> None:
         """Note that later data shall tell what the pose is now."""
@@ -237,38 +202,22 @@ class JointState:
     def _retract(self, error: Array) -> Reset | None:
         """Correct the mean; return what becomes of the coordinates of the error."""
         before = self.world_T_imu
-        own = error[NAV:].reshape(-1, LANDMARK)
+        moved = self._moved(before) if self.form == "invariant" else None
         self.nav = self.nav + error[:NAV]
-        if self.form != "invariant":
-            self.world_T_imu = se3.retract(before, error[POSE])
-            self.landmarks = self.landmarks + own
-            if self.form == "standard":
-                return None
-            return Reset(se3.adjoint(se3.inverse(self.world_T_imu) @ before), None)
-        moved_before = self._moved()
-        own = own.copy()
-        own[:, :3] -= moved_before @ error[POSE]
-        # T exp(e) = exp(Ad(T) e) T: a motion in the world, which the anchors take part in.
         self.world_T_imu = se3.retract(before, error[POSE])
-        motion = self.world_T_imu @ se3.inverse(before)
-        motion_before = self.world_motion
-        self.anchors = motion @ self.anchors
-        self.world_motion = motion @ motion_before
-        self.landmarks = self.landmarks + own
-        reset = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
-        others = np.zeros((len(self.cov) - 6, 6))
-        blocks = others[NAV - 6 :].reshape(-1, LANDMARK, 6)
-        blocks[:, :3] = self._moved() @ reset - moved_before
-        in_first_world = se3.adjoint(se3.inverse(motion_before) @ before)
-        self.shared = self.shared + error[SHARED] - in_first_world @ error[POSE]
-        others[SHARED.start - 6 : SHARED.stop - 6] = (
-            se3.adjoint(se3.inverse(self.world_motion) @ self.world_T_imu) @ reset - in_first_world
-        )
-        return Reset(reset, others)
+        self.landmarks = self.landmarks + error[NAV:].reshape(-1, LANDMARK)
+        if self.form == "standard":
+            return None
+        kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
+        if moved is None:
+            return Reset(kept, None)
+        change = np.zeros((len(self.track), LANDMARK, 6))
+        change[:, :3] = self._moved(before) - moved
+        return Reset(kept, change.reshape(-1, 6))
 
-    def _moved(self) -> Array:
-        """Derivative ``(n, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose."""
-        imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ self.world_T_imu)
+    def _moved(self, pose: Array) -> Array:
+        """Derivative ``(n, 3, 6)`` of the coordinates by a motion of the world, as an error of a pose."""
+        imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ pose)
         return self.chart.moved(self.landmarks[:, :3]) @ imu_to_anchor
 
     def _note(self, step: Step) -> None:
