@@ -157,8 +157,10 @@ def run(bench: Bench, parts: Sequence[str], *, out: Path | None) -> None:
 
 def blas() -> str:
     """Which BLAS libraries are loaded, numpy's and scipy's."""
-    libraries = (item for item in threadpool_info() if item["user_api"] == "blas")
-    return ", ".join(f"{item['internal_api']} {item['version']} {item['architecture']}" for item in libraries)
+    libraries = [item for item in threadpool_info() if item["user_api"] == "blas"]
+    return ", ".join(
+        sorted(f"{item['internal_api']} {item['version']} {item['architecture']}" for item in libraries)
+    )
 
 
 if __name__ == "__main__":

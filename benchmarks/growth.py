@@ -75,7 +75,8 @@ class Growth:
 
 def measure(*, frames: Sequence[int] = FRAMES, window: int = 1_000) -> Part:
     """Run each drive in each mode, in a process of its own, whose memory nothing else has touched."""
-    found = []
+    found: list[Growth] = []
+    frames = sorted(frames)
     with ProcessPoolExecutor(
         1,
         mp_context=get_context("spawn"),

@@ -53,8 +53,8 @@ def measure(drive: Drive, runs: Mapping[str, Timed], *, few: int) -> Part:
             "backward [s] (/target)",
             "step, median [ms]",
             "held [MB]",
-            "2 threads, forward",
-            "2 threads, backward",
+            "2 threads/1, forward",
+            "2 threads/1, backward",
         ],
         rows=rows,
         notes=(
