@@ -161,14 +161,14 @@ def write_results(
         write_kitti(folder / f"{name}_kitti.txt", run.world_T_imu)
         write_npz(folder / f"{name}_trajectory.npz", run)
         write_ply(folder / f"{name}.ply", run.points_world)
-    provenance = _provenance()
+    made_by = provenance()
     write_metrics(
         folder / "metrics.json",
         config,
         dataset=dataset,
         runs=runs,
         evaluation=evaluation,
-        provenance=provenance,
+        provenance=made_by,
     )
     paths = {}
     for name, figure in all_figures(runs, dataset.reference, title=_title(config, dataset)).items():
@@ -185,7 +185,7 @@ def write_results(
         counts=dataset.sequence.counts,
         repairs=dataset.sequence.repairs,
         figures=paths,
-        provenance="\n".join(f"{key}: {value}" for key, value in provenance.items()),
+        provenance="\n".join(f"{key}: {value}" for key, value in made_by.items()),
         config=text,
     )
 
@@ -235,7 +235,8 @@ def _title(config: Config, dataset: Dataset) -> str:
     return f"vislam {config.name}: {dataset.sequence.name}{mark}"
 
 
-def _provenance() -> dict[str, str]:
+def provenance() -> dict[str, str]:
+    """When, on what and with which versions something was computed."""
     packages = ("vislam", "gtsam", "numpy", "scipy")
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
