@@ -30,13 +30,14 @@ class Scene:
         self.now = se3.retract(self.pose, np.array([0.02, -0.03, 0.05, 0.8, -0.1, 0.05]))
 
     def predict(self, pose=None, landmarks=None, offset=0.0):
-        z, _ = self.camera.predict(
+        return self.view(pose, landmarks).measurement(offset)
+
+    def view(self, pose=None, landmarks=None):
+        return self.camera.view(
             self.now if pose is None else pose,
             self.anchors,
             self.landmarks if landmarks is None else landmarks,
-            offset=offset,
         )
-        return z
 
 
 @pytest.fixture
@@ -51,9 +52,8 @@ def slope(function, step=1e-6):
 @both
 def test_a_landmark_is_seen_where_its_point_projects(scene):
     in_camera = se3.transform(se3.inverse(scene.now @ RIG.imu_T_cam), scene.points)
-    z, depth = scene.camera.predict(scene.now, scene.anchors, scene.landmarks, offset=0.0)
-    assert np.allclose(z, RIG.project(in_camera))
-    assert np.allclose(depth, in_camera[:, 2])
+    assert np.allclose(scene.predict(), RIG.project(in_camera))
+    assert np.allclose(scene.view().depth, in_camera[:, 2])
     points, _ = scene.camera.chart.points(scene.landmarks[:, :3])
     assert np.allclose(
         np.einsum("nij,nj->ni", scene.anchors, np.column_stack([points, np.ones(N)]))[:, :3], scene.points
@@ -73,7 +73,7 @@ def test_match_error_and_offset_add_to_the_disparity(scene, rng):
 @both
 def test_jacobians_by_navigation_state_and_landmark(scene, rng):
     scene.landmarks[:, 3] = rng.normal(0.0, 0.1, N)
-    by_nav, by_landmark = scene.camera.jacobians(scene.now, scene.anchors, scene.landmarks)
+    by_nav, by_landmark = scene.view().jacobians()
     for axis, unit in enumerate(np.eye(6)):
         found = slope(lambda h, unit=unit: scene.predict(pose=se3.retract(scene.now, h * unit)))
         assert np.allclose(by_nav[:, :, axis], found, atol=1e-4)
@@ -119,8 +119,8 @@ def test_a_landmark_starts_with_the_point_that_a_match_error_would_mean(scene):
 
 @both
 def test_a_point_drifts_by_the_pixels_it_is_told_to(scene):
-    cov = scene.camera.drift_cov(scene.now, scene.anchors, scene.landmarks, drift=0.3)
-    by_q = scene.camera.jacobians(scene.now, scene.anchors, scene.landmarks)[1][:, :, :3]
+    cov = scene.view().drift_cov(0.3)
+    by_q = scene.view().jacobians()[1][:, :, :3]
     pixels = by_q @ cov @ by_q.transpose(0, 2, 1)
     assert np.allclose(pixels, 0.09 * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]]), atol=1e-9)
 
@@ -139,7 +139,7 @@ def test_a_motion_of_the_anchor_moves_the_coordinates(scene):
 @both
 def test_what_pose_and_landmarks_share_cannot_be_seen(scene):
     """A motion of the whole world changes no measurement: the directions nothing must be learnt about."""
-    by_nav, by_landmark = scene.camera.jacobians(scene.now, scene.anchors, scene.landmarks)
+    by_nav, by_landmark = scene.view().jacobians()
     of_pose = se3.adjoint(se3.inverse(scene.now))
     moved = scene.camera.chart.moved(scene.landmarks[:, :3])
     of_landmarks = moved @ se3.adjoint(se3.inverse(scene.anchors))
@@ -151,7 +151,7 @@ def test_a_point_at_infinity_and_beyond_is_no_exception(rng):
     scene = Scene("disparity", rng)
     scene.landmarks[:2, 2] = [0.0, -0.1]
     z = scene.predict()
-    by_nav, by_landmark = scene.camera.jacobians(scene.now, scene.anchors, scene.landmarks)
+    by_nav, by_landmark = scene.view().jacobians()
     assert np.isfinite(z).all()
     assert np.isfinite(by_nav).all()
     assert np.isfinite(by_landmark).all()

@@ -98,12 +98,8 @@ class DenseFilter:
     def _drift(self, frame: Frame, rows: Sequence[int]) -> None:
         """Let the points of the tracks in view walk, column and row."""
         for slot in self._slots(frame, rows):
-            step = self._camera.drift_cov(
-                self.world_T_imu,
-                self.anchors[[slot]],
-                self.landmarks[[slot]],
-                drift=self._problem.track_noise.drift,
-            )
+            view = self._camera.view(self.world_T_imu, self.anchors[[slot]], self.landmarks[[slot]])
+            step = view.drift_cov(self._problem.track_noise.drift)
             start = self.place["landmark", self.track[slot]].start
             self.cov[start : start + 3, start : start + 3] += step[0]
 
@@ -111,10 +107,10 @@ class DenseFilter:
         """Eqs. (28) and (29), with the sign and the inverse that eq. (26) lacks."""
         slots = self._slots(frame, rows)
         anchors, landmarks = self.anchors[slots], self.landmarks[slots]
-        predicted, _ = self._camera.predict(self.world_T_imu, anchors, landmarks, offset=0.0)
+        predicted = self._camera.view(self.world_T_imu, anchors, landmarks).measurement(offset=0.0)
         if self._form == "first_estimates":
             landmarks = np.column_stack([self._first[slots, :3], landmarks[:, 3]])
-        by_nav, by_landmark = self._camera.jacobians(self.world_T_imu, anchors, landmarks)
+        by_nav, by_landmark = self._camera.view(self.world_T_imu, anchors, landmarks).jacobians()
         jacobian = np.zeros((3 * len(rows), len(self.cov)))
         for i, slot in enumerate(slots):
             three = slice(3 * i, 3 * i + 3)

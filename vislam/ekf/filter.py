@@ -11,7 +11,7 @@ from vislam.ekf import backward, chart
 from vislam.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
 from vislam.ekf.linear import Jacobian, Update
-from vislam.ekf.measurement import Camera, up_axis
+from vislam.ekf.measurement import Camera, View, up_axis
 from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
 from vislam.estimator import Estimate, Problem, StepRecord
@@ -117,7 +117,10 @@ class EkfEstimator:
             rows = rows[seen]
         if frame.k > 0:
             self._predict(state, frame)
-        fused, gated, update = self._fuse(state, frame, rows, ~refused[rows])
+        view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
+        if self._track_noise.drift > 0.0:
+            state.wander(view.drift_cov(self._track_noise.drift))
+        fused, gated, update = self._fuse(state, view, frame, rows, ~refused[rows])
         self._climb(state)
         new = ~refused
         new[rows] = False
@@ -141,7 +144,7 @@ class EkfEstimator:
         )
 
     def _predict(self, state: JointState, frame: Frame) -> None:
-        """Move pose and height, and let the tracks drift."""
+        """Move pose and height."""
         problem, dt = self._problem, frame.dt
         late = state.nav[CLOCK] / dt
         step = motion.integrate(
@@ -155,17 +158,11 @@ class EkfEstimator:
             state.nav[CLIMB] += dt * frame.climb_rate if known else 0.0
             noise[CLIMB, CLIMB] = dt * problem.climb.walk**2 if known else (dt * _UNKNOWN_CLIMB) ** 2
         state.predict(step.prev_T_next, transition, noise)
-        if self._track_noise.drift > 0.0 and len(state.track):
-            state.wander(
-                self._camera.drift_cov(
-                    state.world_T_imu, state.anchors, state.landmarks, drift=self._track_noise.drift
-                )
-            )
 
     def _fuse(
-        self, state: JointState, frame: Frame, rows: IntArray, allowed: BoolArray
+        self, state: JointState, view: View, frame: Frame, rows: IntArray, allowed: BoolArray
     ) -> tuple[BoolArray, BoolArray, Update | None]:
-        """Gate and fuse what is seen of the landmarks, in ``rows`` of the frame.
+        """Gate and fuse what is seen in ``rows`` of the frame of the landmarks, which are all in view.
 
         Returns the masks of fused and gated landmarks, and the update if anything was fused.
         """
@@ -174,9 +171,9 @@ class EkfEstimator:
         if not allowed.any():
             return nothing, nothing, None
         z, variance = frame.z[rows], self._variance(frame, rows)
-        innovation = self._linearise(state, z)
+        innovation = self._linearise(state, view, z)
         distance = innovation.distances(variance)
-        passes = (distance <= self._threshold) & (innovation.depth > _NEAREST)
+        passes = (distance <= self._threshold) & (view.depth > _NEAREST)
         good, gated = allowed & passes, allowed & ~passes
         if not good.any():
             return nothing, gated, None
@@ -186,34 +183,36 @@ class EkfEstimator:
         # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
         for _ in range(self._options.iterations - 1):
             correction = update.correction
-            innovation = self._linearise(state, z, correction)
-            if not (innovation.depth[good] > _NEAREST).all():
+            there = se3.retract(state.world_T_imu, correction[POSE])
+            landmarks = state.landmarks + correction[NAV:].reshape(-1, LANDMARK)
+            view = self._camera.view(there, state.anchors, landmarks)
+            if not (view.depth[good] > _NEAREST).all():
                 break
+            innovation = self._linearise(state, view, z, correction)
             update = innovation.update(variance, good)
             if (np.abs(update.correction - correction) <= _AT_REST * deviation).all():
                 break
         state.correct(update)
         return good, gated, update
 
-    def _linearise(self, state: JointState, z: Array, correction: Array | None = None) -> "_Innovation":
-        """Linearise the sightings of all landmarks at the state, or where a correction ``(d,)`` leads."""
-        camera, anchors = self._camera, state.anchors
-        pose, landmarks, offset = state.world_T_imu, state.landmarks, float(state.nav[OFFSET])
-        at = state.linearised_at
-        if correction is not None:
-            pose = se3.retract(pose, correction[POSE])
-            at = landmarks = landmarks + correction[NAV:].reshape(-1, LANDMARK)
-            offset += float(correction[OFFSET])
-        predicted, depth = camera.predict(pose, anchors, landmarks, offset=offset)
-        by_nav, by_landmark = camera.jacobians(pose, anchors, at)
-        value = (z - predicted).reshape(-1)
-        if correction is not None:
-            by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
+    def _linearise(
+        self, state: JointState, view: View, z: Array, correction: Array | None = None
+    ) -> "_Innovation":
+        """Linearise the sightings of a view, which is that of the state or of where a correction leads."""
+        offset = float(state.nav[OFFSET])
+        seen_from = view
+        if state.form == "first_estimates":
+            seen_from = self._camera.view(state.world_T_imu, state.anchors, state.linearised_at)
+        by_nav, by_landmark = seen_from.jacobians()
         jacobian = Jacobian(by_nav.reshape(-1, NAV), by_landmark, None)
-        if correction is not None:
-            value = value + jacobian.times(correction[:, None])[:, 0]
+        if correction is None:
+            value = (z - view.measurement(offset)).reshape(-1)
+        else:
+            by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
+            value = (z - view.measurement(offset + float(correction[OFFSET]))).reshape(-1)
+            value += jacobian.times(correction[:, None])[:, 0]
         projected = jacobian.times(state.cov)
-        return _Innovation(value, depth, jacobian, projected, jacobian.times(projected.T))
+        return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
 
     def _weight(self, distance: Array) -> Array:
         """Weights ``(n,)`` of observations with squared Mahalanobis distances ``(n,)``."""
@@ -266,7 +265,7 @@ class EkfEstimator:
         """Note what is known now of the landmarks that are about to leave."""
         state, left = self.state, np.flatnonzero(~seen)
         self._matches.append(
-            np.column_stack([state.track, state.landmarks[:, 3], state.variances()[:, 3]])[left]
+            np.column_stack([state.track[left], state.landmarks[left, 3], state.variances()[left, 3]])
         )
         if self._recorder is None:
             self._left.append(backward.as_left(state, left))
@@ -280,14 +279,12 @@ class _Innovation:
     ----------
     value : (3n,)
         Measured less predicted [px].
-    depth : (n,)
     jacobian : Jacobian
     projected, spread : (3n, d), (3n, 3n)
         ``H P`` and ``H P H^T``.
     """
 
     value: Array
-    depth: Array
     jacobian: Jacobian
     projected: Array
     spread: Array

@@ -11,7 +11,7 @@ them by the transpose of what it does to the error, and only a measurement adds 
 inverse of a covariance.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtrsm, dtrsv
@@ -75,8 +75,7 @@ class Step:
     @property
     def nbytes(self) -> int:
         """Memory that it holds [bytes]."""
-        values = (getattr(self, item.name) for item in fields(self))  # type: ignore[arg-type]
-        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
 
 @dataclass(frozen=True)

@@ -37,69 +37,12 @@ class Camera:
     rig: StereoRig
     chart: Chart
 
-    def predict(
-        self, world_T_imu: Array, anchors: Array, landmarks: Array, *, offset: float
-    ) -> tuple[Array, Array]:
-        """Predicted measurements of landmarks, and which can be seen.
-
-        Parameters
-        ----------
-        world_T_imu : (4, 4)
-        anchors : (n, 4, 4)
-            Poses of the landmarks' anchors in the world.
-        landmarks : (n, 4)
-        offset : float
-            Constant error of all disparities [px].
-
-        Returns
-        -------
-        z : (n, 3)
-            (uL, uR, v) [px].
-        depth : (n,)
-            Depth in the left camera [m], negative behind it.
-        """
-        _, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
-        rig = self.rig
-        x, y, z, w = in_camera.T
-        column = rig.fx * x / z + rig.cx
-        disparity = (1.0 + landmarks[:, 3]) * rig.fx * rig.baseline * w / z + offset
-        depth = z / np.maximum(w, _FARTHEST)
-        return np.column_stack([column, column - disparity, rig.fy * y / z + rig.cy]), depth
-
-    def jacobians(self, world_T_imu: Array, anchors: Array, landmarks: Array) -> tuple[Array, Array]:
-        """H of :meth:`predict`.
-
-        Returns
-        -------
-        by_nav : (n, 3, NAV)
-            With respect to the navigation state. Its pose block is minus the derivative that the report's
-            eq. (26) has, whose sign and inverse are wrong.
-        by_landmark : (n, 3, 4)
-            With respect to the landmark (eq. 19, by the chain rule) and to the error of its match.
-        """
-        rig = self.rig
-        cam_T_anchor, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
-        x, y, z, w = in_camera.T
-        stretch = 1.0 + landmarks[:, 3]
-        disparity = rig.fx * rig.baseline * w / z
-        by_camera = np.zeros((len(z), 3, 4))
-        by_camera[:, 0, 0] = by_camera[:, 1, 0] = rig.fx / z
-        by_camera[:, 0, 2] = by_camera[:, 1, 2] = -rig.fx * x / z**2
-        by_camera[:, 2, 1] = rig.fy / z
-        by_camera[:, 2, 2] = -rig.fy * y / z**2
-        by_camera[:, 1, 2] += stretch * disparity / z
-        by_camera[:, 1, 3] = -stretch * rig.fx * rig.baseline / z
-        in_imu = in_camera @ rig.imu_T_cam[:3].T
-        by_imu = by_camera[:, :, :3] @ rig.cam_T_imu[:3, :3]
-        by_nav = np.zeros((len(z), 3, NAV))
-        by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
-        by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
-        by_nav[:, 1, OFFSET] = -1.0
-        by_landmark = np.empty((len(z), 3, LANDMARK))
-        by_landmark[:, :, :3] = by_camera @ (cam_T_anchor @ self.chart.linear)
-        by_landmark[:, :, 3] = 0.0
-        by_landmark[:, 1, 3] = -disparity
-        return by_nav, by_landmark
+    def view(self, world_T_imu: Array, anchors: Array, landmarks: Array) -> "View":
+        """Look at landmarks ``(n, 4)``, their anchors ``(n, 4, 4)`` in the world, from a pose ``(4, 4)``."""
+        cam_T_anchor = se3.inverse(world_T_imu @ self.rig.imu_T_cam) @ anchors
+        homogeneous = self.chart.homogeneous(landmarks[:, :3])
+        in_camera = (cam_T_anchor @ homogeneous[:, :, None])[:, :, 0]
+        return View(self, landmarks, homogeneous, cam_T_anchor, in_camera)
 
     def initialise(self, world_T_imu: Array, z: Array, *, offset: float) -> tuple[Array, Array, Array, Array]:
         """Landmarks from their first measurement (eq. 20), the error of the match taken as 0.
@@ -144,21 +87,83 @@ class Camera:
         by_nav[:, :3, OFFSET] = by_measurement[:, :3, 1]
         return np.broadcast_to(anchor, (n, 4, 4)), landmarks, by_nav, by_measurement
 
-    def drift_cov(self, world_T_imu: Array, anchors: Array, landmarks: Array, *, drift: float) -> Array:
-        """Covariance ``(n, 3, 3)`` of a step of ``drift`` [px] in column and row, at constant depth."""
-        cam_T_anchor, in_camera = self._in_camera(world_T_imu, anchors, landmarks[:, :3])
-        lateral = cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
-            in_camera[:, 2, None, None] * np.array([drift / self.rig.fx, drift / self.rig.fy])
-        )
-        homogeneous = self.chart.homogeneous(landmarks[:, :3])
-        step = self.chart.coordinates_jacobian(homogeneous)[:, :, :3] @ lateral
-        return np.asarray(step @ step.transpose(0, 2, 1))
 
-    def _in_camera(self, world_T_imu: Array, anchors: Array, q: Array) -> tuple[Array, Array]:
-        """Anchors ``(n, 4, 4)`` and homogeneous points ``(n, 4)`` in the left camera."""
-        cam_T_anchor = se3.inverse(world_T_imu @ self.rig.imu_T_cam) @ anchors
-        in_camera = (cam_T_anchor @ self.chart.homogeneous(q)[:, :, None])[:, :, 0]
-        return cam_T_anchor, in_camera
+@dataclass(frozen=True)
+class View:
+    """Landmarks as a camera sees them.
+
+    Attributes
+    ----------
+    camera : Camera
+    landmarks : (n, 4)
+    homogeneous : (n, 4)
+        Their points in their anchors.
+    cam_T_anchor : (n, 4, 4)
+    in_camera : (n, 4)
+        Their points in the left camera, of the same scale.
+    """
+
+    camera: Camera
+    landmarks: Array
+    homogeneous: Array
+    cam_T_anchor: Array
+    in_camera: Array
+
+    @property
+    def depth(self) -> Array:
+        """Depth ``(n,)`` in the left camera [m], negative behind it."""
+        return np.asarray(self.in_camera[:, 2] / np.maximum(self.in_camera[:, 3], _FARTHEST))
+
+    def measurement(self, offset: float) -> Array:
+        """Measurements (uL, uR, v), ``(n, 3)`` [px], all disparities being too large by ``offset`` [px]."""
+        rig = self.camera.rig
+        x, y, z, w = self.in_camera.T
+        column = rig.fx * x / z + rig.cx
+        disparity = (1.0 + self.landmarks[:, 3]) * rig.fx * rig.baseline * w / z + offset
+        return np.column_stack([column, column - disparity, rig.fy * y / z + rig.cy])
+
+    def jacobians(self) -> tuple[Array, Array]:
+        """H of :meth:`measurement`.
+
+        Returns
+        -------
+        by_nav : (n, 3, NAV)
+            With respect to the navigation state. Its pose block is minus the derivative that the report's
+            eq. (26) has, whose sign and inverse are wrong.
+        by_landmark : (n, 3, 4)
+            With respect to the landmark (eq. 19, by the chain rule) and to the error of its match.
+        """
+        rig = self.camera.rig
+        x, y, z, w = self.in_camera.T
+        stretch = 1.0 + self.landmarks[:, 3]
+        disparity = rig.fx * rig.baseline * w / z
+        by_camera = np.zeros((len(z), 3, 4))
+        by_camera[:, 0, 0] = by_camera[:, 1, 0] = rig.fx / z
+        by_camera[:, 0, 2] = by_camera[:, 1, 2] = -rig.fx * x / z**2
+        by_camera[:, 2, 1] = rig.fy / z
+        by_camera[:, 2, 2] = -rig.fy * y / z**2
+        by_camera[:, 1, 2] += stretch * disparity / z
+        by_camera[:, 1, 3] = -stretch * rig.fx * rig.baseline / z
+        in_imu = self.in_camera @ rig.imu_T_cam[:3].T
+        by_imu = by_camera[:, :, :3] @ rig.cam_T_imu[:3, :3]
+        by_nav = np.zeros((len(z), 3, NAV))
+        by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
+        by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
+        by_nav[:, 1, OFFSET] = -1.0
+        by_landmark = np.empty((len(z), 3, LANDMARK))
+        by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.chart.linear)
+        by_landmark[:, :, 3] = 0.0
+        by_landmark[:, 1, 3] = -disparity
+        return by_nav, by_landmark
+
+    def drift_cov(self, drift: float) -> Array:
+        """Covariance ``(n, 3, 3)`` of a step of ``drift`` [px] in column and row, at constant depth."""
+        rig = self.camera.rig
+        lateral = self.cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
+            self.in_camera[:, 2, None, None] * np.array([drift / rig.fx, drift / rig.fy])
+        )
+        step = self.camera.chart.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
+        return np.asarray(step @ step.transpose(0, 2, 1))
 
 
 def up_axis(tilt: Array) -> tuple[Array, Array]:

@@ -110,9 +110,7 @@ class JointState:
 
     @property
     def linearised_at(self) -> Array:
-        """Landmarks ``(n, 4)`` at which Jacobians are taken."""
-        if self.form != "first_estimates":
-            return self.landmarks
+        """Landmarks ``(n, 4)`` at which the ``first_estimates`` form takes Jacobians."""
         return np.column_stack([self.first[:, :3], self.landmarks[:, 3]])
 
     def variances(self) -> Array:
@@ -202,23 +200,20 @@ class JointState:
     def _retract(self, error: Array) -> Reset | None:
         """Correct the mean; return what becomes of the coordinates of the error."""
         before = self.world_T_imu
-        moved = self._moved(before) if self.form == "invariant" else None
+        landmarks = self.landmarks
         self.nav = self.nav + error[:NAV]
         self.world_T_imu = se3.retract(before, error[POSE])
-        self.landmarks = self.landmarks + error[NAV:].reshape(-1, LANDMARK)
+        self.landmarks = landmarks + error[NAV:].reshape(-1, LANDMARK)
         if self.form == "standard":
             return None
         kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
-        if moved is None:
+        if self.form == "first_estimates":
             return Reset(kept, None)
-        change = np.zeros((len(self.track), LANDMARK, 6))
-        change[:, :3] = self._moved(before) - moved
+        # What a motion of the world does to the coordinates, after the correction less before it.
+        moved = self.chart.moved(self.landmarks[:, :3]) - self.chart.moved(landmarks[:, :3])
+        change = np.zeros((len(landmarks), LANDMARK, 6))
+        change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
         return Reset(kept, change.reshape(-1, 6))
-
-    def _moved(self, pose: Array) -> Array:
-        """Derivative ``(n, 3, 6)`` of the coordinates by a motion of the world, as an error of a pose."""
-        imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ pose)
-        return self.chart.moved(self.landmarks[:, :3]) @ imu_to_anchor
 
     def _note(self, step: Step) -> None:
         if self.steps is not None:

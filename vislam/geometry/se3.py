@@ -34,7 +34,13 @@ def inverse(pose: Array) -> Array:
 def exp(xi: Array) -> Array:
     """Pose ``(..., 4, 4)`` of a tangent vector ``(..., 6)`` = (omega [rad], v [m])."""
     omega, v = xi[..., :3], xi[..., 3:]
-    return from_rotation_translation(so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0])
+    jacobian = so3.left_jacobian(omega)
+    # The left Jacobian J holds the rotation as well: it is 1 + hat(omega) J.
+    out = np.zeros((*xi.shape[:-1], 4, 4))
+    out[..., :3, :3] = np.eye(3) + so3.hat(omega) @ jacobian
+    out[..., :3, 3] = (jacobian @ v[..., None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
 
 
 def log(pose: Array) -> Array:
