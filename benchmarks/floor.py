@@ -27,7 +27,7 @@ from vislam.types import Array
 TARGET = 2.0
 """How much longer than its own linear algebra the filter should take at most."""
 _POSE = 6
-_VECTORS = 13
+_VECTORS = 7
 """Columns of the adjoint's vectors."""
 
 
@@ -84,7 +84,7 @@ class Replay:
         cov, out, innovation = all_seen.cov, all_seen.out, self._random[0, : 3 * sizes.fused].copy()
         appended = self._random[: LANDMARK * sizes.new, :NAV].copy()
         cross, own = np.empty((len(appended), d)), np.empty((len(appended), len(appended)))
-        others = self._random[: d - _POSE, :_POSE].copy()
+        others = self._random[:d, : 2 * _POSE].copy()
 
         started = time.thread_time()
         np.matmul(transition, cov[:NAV], out=out[:NAV])
@@ -100,8 +100,8 @@ class Replay:
             np.subtract(cov, out, out=cov)
             np.matmul(whitened, gain)
             if self._invariant:
-                np.matmul(others, cov[:_POSE], out=out[_POSE:])
-                np.matmul(cov[:, :_POSE], others.T, out=out[:, _POSE:])
+                np.matmul(others, others.T, out=out)
+                np.add(cov, out, out=cov)
         if sizes.new:
             np.matmul(appended, cov[:NAV], out=cross)
             np.matmul(cross[:, :NAV], appended.T, out=own)
@@ -117,7 +117,7 @@ class Replay:
         grown = self._square(after)
         vectors, all_vectors = self._random[:d, :_VECTORS].copy(), self._random[:after, :_VECTORS].copy()
         appended = self._random[: LANDMARK * sizes.new, :NAV].copy()
-        others = self._random[: d - _POSE, :_POSE].copy()
+        landmarks = self._random[: d - NAV, :_POSE].copy()
         inner, whitened = np.empty(seen.factor.shape), self._random[0, : 3 * sizes.fused].copy()
         tall, short = np.empty((d, 3 * sizes.fused)), np.empty((d, _VECTORS))
         asked_before, asked_after = self._random[:gone, :before].copy(), self._random[:_POSE, :after].copy()
@@ -132,9 +132,9 @@ class Replay:
             np.matmul(appended.T, all_vectors[d:])
         if sizes.fused:
             if self._invariant:
-                np.matmul(others.T, information[_POSE:])
-                np.matmul(information[:, _POSE:], others)
-                np.matmul(others.T, vectors[_POSE:])
+                np.matmul(landmarks.T, information[NAV:])
+                np.matmul(information[:, NAV:], landmarks)
+                np.matmul(landmarks.T, vectors[NAV:])
             gain = dtrsm(1.0, seen.factor, seen.wide.T, side=1, lower=1, overwrite_b=1).T
             product = gain @ information
             np.matmul(product, gain.T, out=inner)

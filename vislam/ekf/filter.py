@@ -179,7 +179,6 @@ class EkfEstimator:
             return nothing, gated, None
         variance = variance / self._weight(distance)[:, None]
         update = innovation.update(variance, good)
-        deviation = np.sqrt(np.diagonal(state.cov))
         # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
         for _ in range(self._options.iterations - 1):
             correction = update.correction
@@ -190,7 +189,8 @@ class EkfEstimator:
                 break
             innovation = self._linearise(state, view, z, correction)
             update = innovation.update(variance, good)
-            if (np.abs(update.correction - correction) <= _AT_REST * deviation).all():
+            change = update.correction - correction
+            if (change**2 <= _AT_REST**2 * np.diagonal(state.cov)).all():
                 break
         state.correct(update)
         return good, gated, update
