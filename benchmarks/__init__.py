@@ -1,0 +1,1 @@
+"""Measurements of speed and consistency; run as python -m benchmarks.<name>."""
