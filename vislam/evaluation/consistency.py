@@ -1,9 +1,9 @@
 """Whether a run's covariances tell how far off its poses are: NEES, its average over runs, 3-sigma coverage.
 
-The error of a pose is that of the filters, on the right: ``truth = estimate exp(error)``. For an estimator that
-is linear and right about its noise, ``error^T cov^-1 error`` (the normalised estimation error squared, NEES) is
-chi-square distributed. Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation*
-(2001), section 5.4.2.
+The error of a pose is that of the filters, on the right: ``truth = estimate exp(error)``. For an estimator
+that is linear and right about its noise, ``error^T cov^-1 error`` (the normalised estimation error squared,
+NEES) is chi-square distributed. Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
+Navigation* (2001), section 5.4.2.
 """
 
 from dataclasses import dataclass
@@ -51,8 +51,8 @@ class Average:
     overall : float
         Mean over all times.
     overall_low, overall_high : float
-        Confidence interval of that mean by Student's distribution of the runs' own means: runs are independent
-        of each other, the times of a run are not.
+        Confidence interval of that mean by Student's distribution of the runs' own means: runs are
+        independent of each other, the times of a run are not.
     """
 
     value: Array
@@ -80,9 +80,7 @@ def consistency(run: Run, truth: Array, *, causal: bool = False) -> Consistency:
     causal : bool
         Whether to take the poses as they were known at their own time.
     """
-    poses, cov = (
-        (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
-    )
+    poses, cov = (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
     error = se3.local(poses, truth[: len(poses)])
     return Consistency(
         error=error,
@@ -99,8 +97,8 @@ def nees(error: Array, cov: Array) -> Array:
 def average_interval(*, freedom: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided interval of a consistent estimator's average NEES per degree of freedom."""
     tail = 0.5 * (1.0 - probability)
-    low, high = chi2.ppf([tail, 1.0 - tail], runs * freedom) / (runs * freedom)
-    return float(low), float(high)
+    total = runs * freedom
+    return float(chi2.ppf(tail, total)) / total, float(chi2.ppf(1.0 - tail, total)) / total
 
 
 def average(values: Array, *, freedom: int, probability: float = 0.95) -> Average:
