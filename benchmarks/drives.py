@@ -61,7 +61,7 @@ LEVELS = {
 
 
 def drive(level: Level, *, frames: int, seed: int) -> tuple[Sequence, Problem, Array]:
-    """Simulate a drive round a circle.
+    """Simulate a drive once round a circle, which is the smaller the fewer frames there are.
 
     Returns
     -------

@@ -11,8 +11,9 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import repeat
 from pathlib import Path
@@ -115,10 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     terminal, started = Terminal(), time.perf_counter()
     document: dict[str, Any] = {"drives": options.drives, "frames": options.frames, "levels": {}}
-    with _pool(options.processes) as pool:
+    with _side_by_side(options.processes) as mapped:
         for name in options.levels:
             outcomes = []
-            jobs = pool.map(measure, repeat(name), range(options.drives), repeat(options.frames))
+            jobs = mapped(measure, repeat(name), range(options.drives), repeat(options.frames))
             with terminal.progress(name, options.drives) as bar:
                 for outcome in jobs:
                     outcomes.append(outcome)
@@ -148,9 +149,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _pool(processes: int) -> ProcessPoolExecutor:
+@contextmanager
+def _side_by_side(processes: int) -> Iterator[Callable[..., Iterator[dict[str, "Outcome | None"]]]]:
+    """A ``map`` that works in processes; one process is this one."""
+    if processes == 1:
+        yield map
+        return
     # A forked process would inherit the locks of threads that it does not have.
-    return ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool.map
 
 
 def measure(
