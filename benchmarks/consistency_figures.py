@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from vislam.evaluation.consistency import COMPONENTS
 
@@ -48,9 +49,14 @@ def anees(found: "Mapping[str, Summary]", *, title: str) -> Figure:
             if _of_disparity(name) == disparity:
                 axes.plot(one.anees["pose"].value, lw=1.2, color=_colour(name), label=name)
         widest = max(found.values(), key=lambda one: one.anees["pose"].high).anees["pose"]
-        axes.axhspan(widest.low, widest.high, color="0.85", lw=0, label="95 % of consistent filters")
+        axes.axhspan(
+            widest.low, widest.high, color="0.85", lw=0, label="95 % interval of a consistent filter"
+        )
         axes.axhline(1.0, color="k", lw=0.6)
         axes.set(yscale="log", ylabel="pose NEES per degree of freedom")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_title("landmarks as disparities" if disparity else "landmarks as points", fontsize=10)
         axes.legend(loc="upper left", fontsize=8, ncols=2)
     rows[-1].set_xlabel("frame")
@@ -59,7 +65,7 @@ def anees(found: "Mapping[str, Summary]", *, title: str) -> Figure:
 
 
 def coverage(found: "Mapping[str, Summary]", *, title: str) -> Figure:
-    """Share of errors outside three standard deviations, a group of bars for each component."""
+    """Share of errors within three standard deviations, a group of bars for each component."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     width = 0.85 / len(found)

@@ -113,7 +113,10 @@ class Summary:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.drives < 2:
+        parser.error("--drives must be at least 2: one drive has no average")
     terminal, started = Terminal(), time.perf_counter()
     document: dict[str, Any] = {"drives": options.drives, "frames": options.frames, "levels": {}}
     with _side_by_side(options.processes) as mapped:
