@@ -134,9 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for key, figure in consistency_figures.all_figures(found, title=title).items():
                 with replace_whole(options.out / f"{key}_{name}.png") as temporary:
                     figure.savefig(temporary, format="png", dpi=110)
-    document["seconds"] = time.perf_counter() - started
-    with replace_whole(options.out / "consistency.json") as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            document["seconds"] = time.perf_counter() - started
+            with replace_whole(options.out / "consistency.json") as temporary:
+                temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     terminal.note(f"{document['seconds']:.0f} s; {options.out}")
     return 0
 
