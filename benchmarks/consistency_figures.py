@@ -105,10 +105,9 @@ def observability(found: "Mapping[str, Summary]", *, title: str) -> Figure:
         axes.set(yscale="log", title=label, ylabel=f"information gained [{unit}]")
     for axes in panels[2:]:
         axes.set_xlabel("frame")
-    panels[0].legend(loc="center right", fontsize=8)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=8, ncols=4)
     figure.suptitle(
-        "Information from nowhere, on motions of the whole world (none is right; below 1e-9 is rounding):\n"
-        + title,
+        "Information from nowhere on motions of the whole world (the lower curves are rounding):\n" + title,
         fontsize=11,
     )
     return figure
