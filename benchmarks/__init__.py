@@ -1,1 +1,1 @@
-"""What the project's speed is measured by; nothing in the packages depends on it, and none of it asserts."""
+"""Measurements of speed and consistency; run as python -m benchmarks.<name>."""

@@ -1,0 +1,68 @@
+"""What a filter believes to learn of where the world is, which no measurement can tell.
+
+A rigid motion ``xi`` of the whole world, pose and landmarks together, changes no measurement. As an error of
+the state it is a direction ``N xi`` that starts as ``Ad(T^-1) xi`` at the first pose, is passed on by the
+filter's linear steps as every other error is (motion, new landmarks, new coordinates of the error, but not
+the gain), and which the Jacobians of a consistent filter do not see: ``H N = 0``. What they do see of it is
+information from nowhere, ``N^T H^T R^-1 H N`` an update. Huang, Mourikis and Roumeliotis,
+*Observability-based rules for designing consistent EKF SLAM estimators*, IJRR 29 (2010), section 4.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from vislam.ekf.layout import NAV
+from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.motion import POSE
+from vislam.types import Array
+
+
+class Unobservable:
+    """Follows the motions of the world through the steps of a filter that has not started yet.
+
+    Without gravity among the measurements all six cannot be observed.
+
+    Attributes
+    ----------
+    directions : (d, 6)
+        The errors of the state that unit motions (omega, v) of the world are, in the first pose's frame.
+    """
+
+    def __init__(self) -> None:
+        self.directions: Array = np.zeros((NAV, 6))
+        self.directions[POSE] = np.eye(6)
+
+    def follow(self, steps: Iterable[Step]) -> Array:
+        """Follow some steps; return the information ``(6,)`` they gain on each motion [1/rad^2, 1/m^2]."""
+        gained = np.zeros(6)
+        for step in steps:
+            gained += self._take(step)
+        return gained
+
+    def _take(self, step: Step) -> Array:
+        """Follow one step; what a farewell to landmarks or a note of the pose is changes nothing."""
+        held = self.directions
+        match step:
+            case Update():
+                seen = step.jacobian.times(held)
+                return np.asarray(np.sum(seen**2 / _white(step)[:, None], axis=0))
+            case Move():
+                held[:NAV] = step.transition @ held[:NAV]
+            case Reset():
+                if step.landmarks is not None:
+                    held[NAV:] += step.landmarks @ held[POSE]
+                held[POSE] = step.pose @ held[POSE]
+            case Append():
+                self.directions = np.concatenate([held, step.by_nav @ held[:NAV]])
+            case Keep():
+                self.directions = held[step.rows]
+        return np.zeros(6)
+
+
+def _white(update: Update) -> Array:
+    """Variances ``(m,)`` of the white noise of an update [px^2]: ``S - H P H^T``."""
+    factor = np.tril(update.factor)
+    projected = factor @ update.whitened_gain
+    by_state = update.jacobian.times(projected.T)
+    return np.asarray(np.sum(factor**2, axis=1) - np.diagonal(by_state))
