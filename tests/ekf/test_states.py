@@ -191,3 +191,17 @@ def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config:
 def test_options_without_a_meaning_get_a_line(short: Dataset, short_config: Config, options, message):
     with pytest.raises(ConfigError, match=message):
         find("ekf")(make_problem(short_config, short), options)
+
+
+@pytest.mark.parametrize("member", ["ekf", "ekf_fej", "ekf_invariant"])
+def test_the_covariance_stays_symmetric_and_positive(short_config: Config, member):
+    config, dataset = drive(short_config, seed=11)
+    estimator = find(member)(make_problem(config, dataset), {"finished": "as_left"})
+    for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
+        estimator.process(frame, np.zeros(len(frame.track), bool))
+        known = np.diagonal(estimator.state.cov) > 0.0
+        cov = estimator.state.cov[np.ix_(known, known)]
+        sigma = np.sqrt(np.diagonal(cov))
+        correlation = cov / np.outer(sigma, sigma)
+        assert np.abs(correlation - correlation.T).max() < 1e-11
+        assert np.linalg.eigvalsh(correlation)[0] > 0.0
