@@ -51,7 +51,7 @@ def test_the_command_writes_numbers_and_figures(tmp_path, capsys):
 @pytest.mark.slow
 def test_the_invariant_filter_is_consistent_and_the_standard_one_is_not():
     variants = {name: VARIANTS[name] for name in ("ekf", "ekf_invariant", "ekf_invariant, point")}
-    found = summaries([measure("ds3", seed, 200, variants) for seed in range(12)])
+    found = summaries([measure("kitti07", seed, 200, variants) for seed in range(12)])
     standard = found["ekf"].anees["pose"]
     for name in ("ekf_invariant", "ekf_invariant, point"):
         invariant = found[name].anees["pose"]
