@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from vislam import config as configuration
 from vislam import estimator
@@ -69,10 +68,9 @@ def compare(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
-    with threadpool_limits(config.blas_threads):
-        runs = run_all(estimators, config, dataset, terminal)
-        evaluation = evaluate(runs, dataset.reference)
-        write_results(folder, config, dataset, runs, evaluation)
+    runs = run_all(estimators, config, dataset, terminal)
+    evaluation = evaluate(runs, dataset.reference)
+    write_results(folder, config, dataset, runs, evaluation)
     table = comparison_table(runs, evaluation, keys=SHORT)
     terminal.table(table, title=_title(config, dataset), path=folder / "report.html")
     for name, run in runs.items():
@@ -136,6 +134,7 @@ def run_all(
                 name=name,
                 refused=refused,
                 on_frame=lambda k, bar=bar: bar.update(0, completed=k + 1),  # type: ignore[misc]
+                blas_threads=config.blas_threads,
             )
         if name == config.gates_from:
             refused = runs[name].gated

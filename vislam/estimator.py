@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from vislam.data.sequence import Frame, Sequence
 from vislam.errors import ConfigError
@@ -166,6 +167,7 @@ def run(
     name: str,
     refused: BoolArray | None = None,
     on_frame: Callable[[int], None] = lambda k: None,
+    blas_threads: int = 1,
 ) -> Run:
     """Feed a sequence to an estimator and keep all it says.
 
@@ -180,6 +182,9 @@ def run(
         Observations that a shared gate has taken out.
     on_frame : callable
         Called with the index of each finished frame.
+    blas_threads : int
+        Threads of the linear algebra. The matrices are small, and NumPy and SciPy each have a pool of
+        their own: with more than one, the two mostly wait for each other.
 
     Returns
     -------
@@ -191,7 +196,7 @@ def run(
     records: list[StepRecord] = []
     step_time: list[float] = []
     error, estimate = "", None
-    with PeakMemory() as memory:
+    with threadpool_limits(blas_threads), PeakMemory() as memory:
         started = time.perf_counter()
         try:
             for frame in sequence.frames(sigma):

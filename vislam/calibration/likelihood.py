@@ -5,7 +5,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from vislam import estimator
 from vislam.comparison import make_problem, pixel_sigma
@@ -93,8 +92,9 @@ def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
 
 def _run(solver: EkfEstimator, dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
     sigma = pixel_sigma(config, dataset)
-    with threadpool_limits(config.blas_threads):
-        return estimator.run(solver, dataset.sequence, sigma, name="ekf", refused=refused)
+    return estimator.run(
+        solver, dataset.sequence, sigma, name="ekf", refused=refused, blas_threads=config.blas_threads
+    )
 
 
 def _log_likelihood(job: tuple[Dataset, Config, BoolArray]) -> Array:

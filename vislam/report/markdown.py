@@ -10,6 +10,7 @@ _ROWS = (
     ("ate_planar_rmse", "ATE, planar aligned [m]", 2),
     ("ate_planar_rmse_causal", "the same, as known at each time [m]", 2),
     ("path_length", "path length [m]", 1),
+    ("height_end", "height at the end [m]", 1),
     ("kitti_t_rel", "KITTI drift [%]", 2),
     ("nis_per_dof", "NIS per degree of freedom", 2),
     ("observations_used", "observations used", 0),
