@@ -303,7 +303,8 @@ class _Innovation:
             return Update.of(self.jacobian, self.projected, self.spread, self.value)
         rows, of = np.flatnonzero(np.repeat(good, 3)), self.jacobian
         part = Jacobian(of.by_nav[rows], of.by_landmark[good], np.flatnonzero(good))
-        return Update.of(part, self.projected[rows], self.spread[np.ix_(rows, rows)], self.value[rows])
+        spread = self.spread.take(rows, axis=0).take(rows, axis=1)
+        return Update.of(part, self.projected.take(rows, axis=0), spread, self.value[rows])
 
 
 def _places(track: IntArray, in_frame: IntArray) -> IntArray:

@@ -186,8 +186,10 @@ class Update(Step):
         seen = gain @ after.information
         inner = seen @ gain.T
         inverse, _ = dpotri(self.factor, lower=1)
-        inner += np.tril(inverse)
-        inner += np.tril(inverse, -1).T
+        lower = np.tril(inverse)
+        inner += lower
+        inner += lower.T
+        inner.reshape(-1)[:: len(inner) + 1] -= np.diagonal(lower)
         # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
         np.negative(seen, out=seen)
         seen += 0.5 * self.jacobian.transposed_times(inner, size=size).T
@@ -329,9 +331,11 @@ class Keep(Step):
 
     def back(self, after: Adjoint) -> Adjoint:
         """Nothing more is said directly of what has gone."""
-        kept = np.flatnonzero(self.rows)
-        information = np.zeros((len(self.rows), len(self.rows)))
-        information[np.ix_(kept, kept)] = after.information
-        vectors = np.zeros((len(self.rows), after.vectors.shape[1]))
-        vectors[kept] = after.vectors
-        return Adjoint(information, vectors)
+        kept = len(after.vectors)
+        # What has gone is read from a row and a column of zeros at the end.
+        source = np.where(self.rows, np.cumsum(self.rows) - 1, kept)
+        information = np.zeros((kept + 1, kept + 1))
+        information[:kept, :kept] = after.information
+        vectors = np.zeros((kept + 1, after.vectors.shape[1]))
+        vectors[:kept] = after.vectors
+        return Adjoint(information.take(source, axis=0).take(source, axis=1), vectors.take(source, axis=0))
