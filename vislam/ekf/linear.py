@@ -101,7 +101,8 @@ class Jacobian:
         blocks = matrix[NAV:].reshape(-1, LANDMARK, columns)
         if self.slots is not None:
             blocks = blocks[self.slots]
-        out = np.zeros((len(self.by_nav), columns))
+        out = np.empty((len(self.by_nav), columns))
+        out[3 * n :] = 0.0
         np.matmul(self.by_landmark, blocks, out=out[: 3 * n].reshape(n, 3, columns))
         out += self.by_nav @ matrix[:NAV]
         return out
