@@ -71,3 +71,11 @@ def test_names_cancel_and_points_move_outwards(rng):
 def test_hat_is_the_cross_product(rng):
     a, b = rng.normal(size=(2, 5, 3))
     assert np.allclose(np.einsum("nij,nj->ni", so3.hat(a), b), np.cross(a, b))
+
+
+def test_the_smallest_rotation_from_one_direction_to_another(rng):
+    for one, other in [*rng.normal(size=(5, 2, 3)), (np.eye(3)[2], -np.eye(3)[2]), (np.ones(3), np.ones(3))]:
+        turn = so3.onto(one, other)
+        assert np.allclose(turn @ one / np.linalg.norm(one), other / np.linalg.norm(other))
+        between = np.arccos(np.clip(one @ other / np.linalg.norm(one) / np.linalg.norm(other), -1.0, 1.0))
+        assert np.isclose(np.linalg.norm(so3.log(turn)), between)

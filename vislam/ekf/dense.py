@@ -56,7 +56,7 @@ class DenseFilter:
         self.anchors = np.empty((0, 4, 4))
         self.landmarks = np.empty((0, LANDMARK))
         self._first = np.empty((0, LANDMARK))
-        self._moved_at = np.empty((0, 3))
+        self._in_view: set[int] = set()
         self._past: list[tuple[Array, Array]] = []
         self.cov = np.diag(np.concatenate([problem.first_pose_sigma, problem.bias_sigma]) ** 2)
         self.place: dict[tuple[str, int], slice] = {}
@@ -70,10 +70,7 @@ class DenseFilter:
         """Predict, update with all known landmarks at once, append the new ones."""
         if frame.k > 0:
             self._predict(frame)
-        seen = np.isin(self.track, frame.track)[:, None] if self.track else np.empty((0, 1), bool)
-        self._moved_at = np.where(
-            seen, np.nan, np.where(np.isnan(self._moved_at), self.landmarks[:, :3], self._moved_at)
-        )
+        self._in_view = {int(track) for track in frame.track}
         known = [row for row, track in enumerate(frame.track) if int(track) in self.track]
         if known:
             self._drift(frame, known)
@@ -141,7 +138,6 @@ class DenseFilter:
         self.anchors = np.concatenate([self.anchors, anchors])
         self.landmarks = np.concatenate([self.landmarks, landmarks])
         self._first = np.concatenate([self._first, landmarks])
-        self._moved_at = np.concatenate([self._moved_at, np.full((1, 3), np.nan)])
 
     def _grow(self, key: tuple[str, int], grow: Array, noise: Array) -> None:
         """Append a block that is ``grow`` times the error, plus noise."""
@@ -167,18 +163,17 @@ class DenseFilter:
         shared = self._shared(before)
         self.landmarks = self.landmarks + own
         if self._form == "invariant":
+            # Of a landmark out of view the motion is taken where it was last seen, and does not change.
             for track, change in zip(self.track, self._shared(before) - shared, strict=True):
-                start = self.place["landmark", track].start
-                reset[start : start + 3, POSE] = change
+                if track in self._in_view:
+                    start = self.place["landmark", track].start
+                    reset[start : start + 3, POSE] = change
         self.cov = reset @ self.cov @ reset.T
 
     def _shared(self, pose: Array) -> Array:
-        """Derivative ``(m, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose.
-
-        That of a landmark out of view is taken at its last estimate in view.
-        """
-        at = np.where(np.isnan(self._moved_at), self.landmarks[:, :3], self._moved_at)
-        return self._camera.chart.moved(at) @ se3.adjoint(se3.inverse(self.anchors) @ pose)
+        """Derivative ``(m, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose."""
+        imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ pose)
+        return self._camera.chart.moved(self.landmarks[:, :3]) @ imu_to_anchor
 
     def _slots(self, frame: Frame, rows: Sequence[int]) -> list[int]:
         return [self.track.index(int(frame.track[row])) for row in rows]
