@@ -114,18 +114,11 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
         )
         if np.isfinite(run.pose_cov_causal).any() and run.dof.sum() > 0:
             spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov_causal[:, 3:, 3:])[:, -1])
-            axes.fill_between(
-                driven,
-                _SMALLEST_ERROR,
-                spread,
-                color=colour,
-                alpha=0.15,
-                lw=0,
-                label=f"{name}: 3 sigma as claimed at the time, from the start",
-            )
+            axes.plot(driven, spread, "--", lw=0.9, alpha=0.8, color=colour)
     axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]")
     axes.set(yscale="log", ylim=(_SMALLEST_ERROR, None))
-    axes.legend(loc="best", fontsize=8)
+    axes.set_title("dashed: three standard deviations from the start, as claimed at the time", fontsize=9)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 
@@ -141,9 +134,9 @@ def nis_over_time(runs: Mapping[str, Run]) -> Figure:
         nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
         axes.plot(run.stamp, nis, lw=1, color=colours(runs)[name], label=f"{name}, {_SMOOTHING} frames")
         low, high = (chi2.ppf(share, np.maximum(dof, 1.0)) / np.maximum(dof, 1.0) for share in (0.025, 0.975))
-        axes.fill_between(
-            run.stamp, low, high, color="0.8", lw=0, label="95 % interval of a consistent filter"
-        )
+        first = not axes.collections
+        label = "95 % interval of a consistent filter" if first else None
+        axes.fill_between(run.stamp, low, high, color="0.8", lw=0, label=label)
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel="time [s]", ylabel="NIS per degree of freedom", ylim=(0, None))
     axes.legend(loc="best", fontsize=8)
