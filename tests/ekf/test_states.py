@@ -205,3 +205,25 @@ def test_the_covariance_stays_symmetric_and_positive(short_config: Config, membe
         correlation = cov / np.outer(sigma, sigma)
         assert np.abs(correlation - correlation.T).max() < 1e-11
         assert np.linalg.eigvalsh(correlation)[0] > 0.0
+
+
+@pytest.mark.parametrize("member", ["ekf", "ekf_iterated", "ekf_fej", "ekf_invariant", "eks"])
+@pytest.mark.parametrize("first", [0, 30], ids=["from the start", "on the way"])
+def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
+    config, dataset = drive(short_config, seed=3)
+    frame = dataset.sequence.frame_of
+    sequence = dataset.sequence.select((frame < first) | (frame >= first + 20))
+    # An id that is missing once never comes back.
+    later = np.where(sequence.frame_of >= first + 20, sequence.track + 10_000, sequence.track)
+    dataset = replace(dataset, sequence=replace(sequence, track=later))
+    found = run(
+        find(member)(make_problem(config, dataset), {}),
+        dataset.sequence,
+        pixel_sigma(config, dataset),
+        name=member,
+    )
+    assert found.complete, found.error
+    assert np.array_equal(found.track, np.unique(later))
+    assert np.isfinite(found.points_cov).all()
+    error = found.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    assert np.abs(error[-1]).max() < 2.0
