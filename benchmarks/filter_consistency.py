@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from baselines.dead_reckoning import DeadReckoning
 from benchmarks import consistency_figures
@@ -162,19 +161,18 @@ def measure(
     sequence, problem, truth = drive(LEVELS[level], frames=frames, seed=seed)
     sigma = np.broadcast_to(problem.track_noise.sigma, (sequence.observations, 3))
     found: dict[str, Outcome | None] = {}
-    with threadpool_limits(1):
-        for name, solver, gained in _estimators(problem, variants):
-            run = estimator.run(solver, sequence, sigma, name=name, on_frame=gained.note)
-            if not run.complete:
-                found[name] = None
-                continue
-            turned = truth[:, :3, :3] @ run.world_T_imu[:, :3, :3].transpose(0, 2, 1)
-            found[name] = Outcome(
-                consistency(run, truth),
-                np.arctan2(turned[:, 1, 0], turned[:, 0, 0]),
-                run.nis_per_dof,
-                np.array(gained.frames) if gained.frames else None,
-            )
+    for name, solver, gained in _estimators(problem, variants):
+        run = estimator.run(solver, sequence, sigma, name=name, on_frame=gained.note)
+        if not run.complete:
+            found[name] = None
+            continue
+        turned = truth[:, :3, :3] @ run.world_T_imu[:, :3, :3].transpose(0, 2, 1)
+        found[name] = Outcome(
+            consistency(run, truth),
+            np.arctan2(turned[:, 1, 0], turned[:, 0, 0]),
+            run.nis_per_dof,
+            np.array(gained.frames) if gained.frames else None,
+        )
     return found
 
 

@@ -28,8 +28,8 @@ _UNKNOWN_CLIMB = 5.0
 """Standard deviation of the climb rate where a step has none [m/s]."""
 _AT_REST = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
-_HUBER_SHARE = 0.95
-"""Share of good observations that keep their full weight."""
+_HUBER_DISTANCE = float(chi2.ppf(0.95, 3))
+"""Squared Mahalanobis distance up to which an observation keeps its full weight: 95 % of the good ones."""
 _STUDENT_FREEDOM = 4.0
 """Degrees of freedom of the Student distribution."""
 
@@ -217,7 +217,7 @@ class EkfEstimator:
     def _weight(self, distance: Array) -> Array:
         """Weights ``(n,)`` of observations with squared Mahalanobis distances ``(n,)``."""
         if self._options.robust == "huber":
-            return np.minimum(1.0, np.sqrt(chi2.ppf(_HUBER_SHARE, 3) / np.maximum(distance, 1e-12)))
+            return np.minimum(1.0, np.sqrt(_HUBER_DISTANCE / np.maximum(distance, 1e-12)))
         if self._options.robust == "student":
             return (_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)
         return np.ones(len(distance))
