@@ -1,5 +1,6 @@
 """Factor-graph smoothing with GTSAM: poses, twist biases and landmarks in one graph."""
 
-from vislam.smoother.isam2 import Isam2Estimator, Isam2Options, build
+from vislam.smoother.incremental import SmootherEstimator
+from vislam.smoother.options import SmootherOptions
 
-__all__ = ["Isam2Estimator", "Isam2Options", "build"]
+__all__ = ["SmootherEstimator", "SmootherOptions"]

@@ -1,0 +1,266 @@
+"""The incremental solvers of GTSAM behind one interface: the whole graph, or a window of fixed lag."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import gtsam
+import numpy as np
+
+from vislam.smoother.keys import thresholds
+from vislam.smoother.options import SmootherOptions
+from vislam.types import Array
+
+
+class IndeterminateError(RuntimeError):
+    """GTSAM could not solve a step.
+
+    Attributes
+    ----------
+    key : int or None
+        The variable it names.
+    """
+
+    def __init__(self, text: str, key: int | None = None) -> None:
+        super().__init__(text)
+        self.key = key
+
+
+class Engine(Protocol):
+    """Takes factors and values a frame at a time and holds the estimate."""
+
+    def update(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        *,
+        stamps: Mapping[int, float],
+        newest: Sequence[int],
+        resting: Sequence[int],
+        remove: Sequence[int],
+    ) -> list[int]:
+        """Take a frame; returns the slots of its factors.
+
+        Parameters
+        ----------
+        graph : gtsam.NonlinearFactorGraph
+        values : gtsam.Values
+            First values of new variables.
+        stamps : mapping of int to float
+            Time of each variable that the frame has or sees [s].
+        newest : sequence of int
+            Variables that the next frame will be tied to.
+        resting : sequence of int
+            Variables that are not relinearised from now on.
+        remove : sequence of int
+            Slots of factors to take out.
+
+        Raises
+        ------
+        IndeterminateError
+            After which the engine still tells its factors and its linearisation point, and nothing else.
+        """
+        ...
+
+    def settle(self) -> None:
+        """Relinearise everything once."""
+        ...
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """All factors, by slot; empty where one was taken out."""
+        ...
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        ...
+
+    def estimate(self) -> gtsam.Values:
+        """Estimate of all variables that are held."""
+        ...
+
+    def pose(self, key: int) -> Array:
+        """Pose ``(4, 4)``."""
+        ...
+
+    def vector(self, key: int) -> Array:
+        """Vector variable."""
+        ...
+
+    def points(self, keys: Sequence[int]) -> Array:
+        """Points ``(n, 3)`` [m]."""
+        ...
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable."""
+        ...
+
+
+class WholeGraph:
+    """iSAM2 over the whole drive.
+
+    The newest pose and twist are eliminated last, the landmarks in view before them: the next frame ties to these
+    two, and a landmark's block stays small.
+    """
+
+    def __init__(self, options: SmootherOptions) -> None:
+        self._every = options.relinearize_every
+        parameters = _parameters(options)
+        # Whether to relinearise is said with each update.
+        parameters.enableRelinearization = False
+        self._isam = gtsam.ISAM2(parameters)
+        self._resting = gtsam.KeyList()
+        self._updates = 0
+
+    def update(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        *,
+        stamps: Mapping[int, float],
+        newest: Sequence[int],
+        resting: Sequence[int],
+        remove: Sequence[int],
+    ) -> list[int]:
+        """Take a frame."""
+        del stamps
+        for key in resting:
+            self._resting.push_back(key)
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.removeFactorIndices = list(remove)
+        last = gtsam.KeyGroupMap()
+        for key in newest:
+            last.insert2(key, 1)
+        parameters.constrainedKeys = last
+        self._updates += 1
+        if self._every and self._updates % self._every == 0:
+            parameters.force_relinearize = True
+            parameters.noRelinKeys = self._resting
+        return list(self._solve(graph, values, parameters).getNewFactorsIndices())
+
+    def settle(self) -> None:
+        """Relinearise everything once."""
+        everything = gtsam.ISAM2UpdateParams()
+        everything.force_relinearize = True
+        everything.forceFullSolve = True
+        self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """All factors, by slot."""
+        return self._isam.getFactorsUnsafe()
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        return self._isam.getLinearizationPoint()
+
+    def estimate(self) -> gtsam.Values:
+        """Estimate of all variables."""
+        return _solved(self._isam.calculateBestEstimate)
+
+    def pose(self, key: int) -> Array:
+        """Pose ``(4, 4)``."""
+        return _solved(self._isam.calculateEstimatePose3, key).matrix()
+
+    def vector(self, key: int) -> Array:
+        """Vector variable."""
+        return _solved(self._isam.calculateEstimateVector, key)
+
+    def points(self, keys: Sequence[int]) -> Array:
+        """Points ``(n, 3)`` [m]."""
+        read = self._isam.calculateEstimatePoint3
+        return np.array([read(key) for key in keys]).reshape(-1, 3)
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable."""
+        return _solved(self._isam.marginalCovariance, key)
+
+    def _solve(self, *arguments: Any) -> gtsam.ISAM2Result:
+        return _solved(self._isam.update, *arguments)
+
+
+class FixedLag:
+    """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
+
+    def __init__(self, options: SmootherOptions) -> None:
+        parameters = _parameters(options)
+        parameters.enableRelinearization = options.relinearize_every > 0
+        parameters.relinearizeSkip = max(options.relinearize_every, 1)
+        assert options.lag_s is not None
+        self._smoother = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
+
+    def update(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        *,
+        stamps: Mapping[int, float],
+        newest: Sequence[int],
+        resting: Sequence[int],
+        remove: Sequence[int],
+    ) -> list[int]:
+        """Take a frame."""
+        del newest, resting
+        if remove:
+            # The slot of a factor that has gone into a marginal is empty.
+            held = self._smoother.getFactors()
+            remove = [slot for slot in remove if held.exists(slot)]
+        _solved(self._smoother.update, graph, values, dict(stamps), list(remove))
+        return list(self._smoother.getISAM2Result().getNewFactorsIndices())
+
+    def settle(self) -> None:
+        """Update without anything new."""
+        _solved(self._smoother.update)
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """All factors, by slot."""
+        return self._smoother.getFactors()
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        return self._smoother.getLinearizationPoint()
+
+    def estimate(self) -> gtsam.Values:
+        """Estimate of all variables in the window."""
+        return _solved(self._smoother.calculateEstimate)
+
+    def pose(self, key: int) -> Array:
+        """Pose ``(4, 4)``."""
+        return _solved(self._smoother.calculateEstimatePose3, key).matrix()
+
+    def vector(self, key: int) -> Array:
+        """Vector variable."""
+        return _solved(self._smoother.calculateEstimateVector, key)
+
+    def points(self, keys: Sequence[int]) -> Array:
+        """Points ``(n, 3)`` [m]."""
+        read = self._smoother.calculateEstimatePoint3
+        return np.array([read(key) for key in keys]).reshape(-1, 3)
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable."""
+        return _solved(self._smoother.marginalCovariance, key)
+
+
+def make(options: SmootherOptions) -> Engine:
+    """Engine that the options ask for."""
+    return WholeGraph(options) if options.lag_s is None else FixedLag(options)
+
+
+def _parameters(options: SmootherOptions) -> gtsam.ISAM2Params:
+    parameters = gtsam.ISAM2Params()
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
+    pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
+    parameters.setRelinearizeThreshold(thresholds(pose=pose, depth_share=options.landmark_threshold))
+    return parameters
+
+
+def _solved(call: Any, *arguments: Any) -> Any:
+    """Call GTSAM; each of its exceptions arrives as a RuntimeError whose text may name a variable."""
+    try:
+        return call(*arguments)
+    except RuntimeError as error:
+        text = str(error)
+        found = re.search(r"(\d{6,})\s*\(Symbol: ([^)]*)\)", text)
+        if found:
+            raise IndeterminateError(f"indeterminate at {found[2]}", int(found[1])) from None
+        first = next((line.strip() for line in text.splitlines() if line.strip()), "no message")
+        raise IndeterminateError(first) from None

@@ -1,0 +1,54 @@
+"""The members of the smoother family: one name each, all the same smoother with other options."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from vislam import config
+from vislam.errors import ConfigError
+from vislam.estimator import Problem
+from vislam.smoother.incremental import SmootherEstimator
+from vislam.smoother.options import SmootherOptions
+
+MEMBERS: Mapping[str, Mapping[str, Any]] = {
+    "isam2": {},
+    "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
+    "fixed_lag": {"lag_s": 3.0},
+    "batch": {"final": "batch", "final_iterations": 10},
+    "batch_gnc": {"final": "gnc", "final_iterations": 10},
+}
+"""What each member sets; its config section may set the rest, or these again."""
+
+
+def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    parsed = config.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
+    if problem.disparity_offset_sigma > 0.0:
+        raise ConfigError(
+            f"estimators.{name}: GTSAM's stereo factor has no disparity offset as a variable; set "
+            "noise.disparity_offset_sigma_px to 0, or compare filters only"
+        )
+    return SmootherEstimator(problem, parsed)
+
+
+def build_isam2(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build iSAM2 over the whole drive."""
+    return _member("isam2", problem, options)
+
+
+def build_norelin(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build iSAM2 that keeps the first linearisation of every factor."""
+    return _member("isam2_norelin", problem, options)
+
+
+def build_fixed_lag(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build the smoother that marginalises what is older than a lag."""
+    return _member("fixed_lag", problem, options)
+
+
+def build_batch(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build iSAM2 with a batch optimisation in the end."""
+    return _member("batch", problem, options)
+
+
+def build_gnc(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build iSAM2 with a robust batch optimisation in the end, by graduated non-convexity."""
+    return _member("batch_gnc", problem, options)

@@ -1,0 +1,345 @@
+"""Smoothing SLAM, one frame at a time, with GTSAM doing the solving."""
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from vislam.data.sequence import Frame
+from vislam.errors import DivergedError
+from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.geometry import se3
+from vislam.smoother import engine
+from vislam.smoother.engine import IndeterminateError
+from vislam.smoother.factors import FactorBuilder
+from vislam.smoother.keys import CLOCK, W, X
+from vislam.smoother.options import SmootherOptions
+from vislam.smoother.tracks import Track, Tracks
+from vislam.types import Array, BoolArray
+
+_NEAREST = 1.0
+"""A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
+
+
+class SmootherEstimator:
+    """Poses, twist biases and landmarks in one graph, of the whole drive or of a lag.
+
+    Only variables seen in the last frames are relinearised on the way: the linearisation of what lies
+    behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is.
+
+    A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there, and from
+    these, without the landmarks that broke it, the solver is built anew and the step repeated. The rescue is
+    counted and told.
+    """
+
+    def __init__(self, problem: Problem, options: SmootherOptions) -> None:
+        self._problem, self._options = problem, options
+        self._factors = FactorBuilder(problem, robust=options.robust, threshold=options.robust_threshold)
+        self._engine = engine.make(options)
+        self._tracks = Tracks()
+        self._frames: list[Frame] = []
+        self._stamps: list[float] = []
+        # Causal poses, and, of a lag, the poses as they were when they left it.
+        self._poses: list[Array] = []
+        self._left: list[Array] = []
+        self._bias = np.array(problem.bias_mean)
+        self._clock = self._height = 0.0
+        # Landmarks seen in each of the last frames, and slots of factors that the next update takes out.
+        self._recent: list[list[Track]] = []
+        self._remove: list[int] = []
+        self._events: list[str] = []
+        self._counts = {"observations_used_late": 0, "rescues": 0, "final_iterations_undone": 0}
+
+    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Take one frame."""
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in self._factors.step(frame, self._frames[-1] if self._frames else None):
+            graph.add(factor)
+        twist = self._predict(frame)
+        self._factors.insert(values, frame, pose=self._poses[-1], twist=twist, height=self._height)
+        sights = [(track, track.views[-1]) for track in self._tracks.take(frame, refused)]
+        for track in self._start():
+            values.insert(track.key, track.point)
+            sights += [(track, view) for view in track.views]
+        for track, view in sights:
+            graph.add(self._factors.stereo(view.k, track.key, z=view.z, sigma=view.sigma))
+        owners = [track for track, _ in sights]
+        now = list({track.id: track for track in owners}.values())
+        self._counts["observations_used_late"] += len(owners) - len(now)
+        self._keep_leaving(frame)
+        try:
+            self._solve(frame, graph, values, owners, now)
+        except IndeterminateError as error:
+            self._rescue(frame, owners, error)
+        seen = [track for track in now if track.id in self._tracks.in_view]
+        self._find_astray(seen)
+        every = self._options.pose_cov_every
+        known = every > 0 and frame.k % every == 0
+        return StepRecord(
+            world_T_imu=self._poses[-1],
+            pose_cov=self._engine.covariance(X(frame.k)) if known else None,
+            bias=self._bias,
+            bias_sigma=self._bias_sigma(frame) if known else None,
+            nis=0.0,
+            dof=0,
+            log_likelihood=float("nan"),
+            used=np.isin(frame.track, [track.id for track in seen]),
+            gated=np.zeros(len(frame.track), bool),
+        )
+
+    def finalize(self) -> Estimate:
+        """Return all poses and landmarks, after what the options ask for in the end."""
+        options, tracks = self._options, self._tracks.landmarks
+        pose_cov = points_cov = None
+        if options.lag_s is not None:
+            poses = np.array([*self._left, *(self._engine.pose(X(k)) for k in self._held())])
+            points = np.array([track.point for track in tracks]).reshape(-1, 3)
+        else:
+            values = self._finish(tracks)
+            poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._frames))])
+            points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
+            if False:
+                asked = [track.key for track in tracks] if options.marginals == "all" else []
+                everything = marginals(
+                    self._graph(tracks), values, [X(k) for k in range(len(poses))], asked
+                )
+                pose_cov, points_cov = everything.poses, everything.points
+        return Estimate(
+            world_T_imu=poses.reshape(-1, 4, 4),
+            pose_cov=pose_cov,
+            track=np.array([track.id for track in tracks], dtype=np.int64),
+            points_world=points,
+            points_cov=points_cov,
+            counts={
+                "landmarks_too_weak": self._tracks.too_weak + len(self._tracks.waiting),
+                "landmarks_set_aside": self._tracks.set_aside,
+                "views_dropped_waiting": self._tracks.views_dropped,
+                **self._counts,
+            },
+            up=None if self._problem.climb is None else np.array([0.0, 0.0, 1.0]),
+        )
+
+    def _predict(self, frame: Frame) -> Array:
+        """Predict the pose; returns the twist less its bias."""
+        self._frames.append(frame)
+        self._stamps.append(frame.stamp)
+        if frame.k == 0:
+            self._poses.append(np.eye(4))
+            return np.zeros(6)
+        twist = frame.twist + self._clock / frame.dt * frame.twist_change - self._bias
+        self._poses.append(self._poses[-1] @ se3.exp(frame.dt * twist))
+        if np.isfinite(frame.climb_rate):
+            self._height += frame.dt * frame.climb_rate
+        return twist
+
+    def _start(self) -> list[Track]:
+        return self._tracks.start(
+            self._problem.rig,
+            self._poses,
+            clear=self._options.start_clearance,
+            most=self._options.max_waiting_views,
+            oldest=self._held().start,
+        )
+
+    def _held(self) -> range:
+        """Frames whose poses the solver still holds after the newest frame."""
+        lag, newest = self._options.lag_s, len(self._frames)
+        if lag is None:
+            return range(newest)
+        return range(bisect_left(self._stamps, self._stamps[-1] - lag), newest)
+
+    def _keep_leaving(self, frame: Frame) -> None:
+        """Read the poses that the update with this frame will marginalise."""
+        if self._options.lag_s is not None:
+            for k in range(len(self._left), min(self._held().start, frame.k)):
+                self._left.append(self._engine.pose(X(k)))
+
+    def _solve(
+        self,
+        frame: Frame,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        owners: Sequence[Track],
+        now: list[Track],
+    ) -> None:
+        """Update the solver with a frame and read its pose; ``owners`` are the tracks of the stereo factors."""
+        remove, self._remove = self._remove, []
+        slots = self._engine.update(
+            graph,
+            values,
+            stamps=self._stamps_of(frame, now),
+            newest=self._factors.tied(frame.k),
+            resting=self._resting(now),
+            remove=remove,
+        )
+        for track, slot in zip(owners, slots[len(slots) - len(owners) :], strict=True):
+            track.slots.append(slot)
+        self._read(frame)
+
+    def _read(self, frame: Frame) -> None:
+        """Read pose, bias and clock of the newest frame."""
+        pose = self._engine.pose(X(frame.k))
+        if not np.isfinite(pose).all():
+            raise IndeterminateError("the pose is not finite")
+        self._poses[-1] = pose
+        if frame.k > 0:
+            if self._problem.clock_sigma > 0.0:
+                self._clock = float(self._engine.vector(CLOCK)[0])
+            late = self._clock / frame.dt * frame.twist_change
+            self._bias = frame.twist + late - self._engine.vector(W(frame.k))
+
+    def _bias_sigma(self, frame: Frame) -> Array:
+        """Standard deviation of the bias; the clock's share in that of the twist is left in it."""
+        if frame.k == 0:
+            return np.array(self._problem.bias_sigma)
+        walk = frame.dt * self._problem.noise.bias_walk**2
+        return np.sqrt(np.diagonal(self._engine.covariance(W(frame.k))) + walk)
+
+    def _stamps_of(self, frame: Frame, seen: Sequence[Track]) -> dict[int, float]:
+        """Time of all variables that a frame has or sees."""
+        keys = [*self._factors.keys(frame.k), *self._factors.tied(frame.k), *(track.key for track in seen)]
+        return dict.fromkeys(keys, frame.stamp)
+
+    def _resting(self, now: list[Track]) -> list[int]:
+        """Variables that were last seen so long ago that they are not relinearised any more."""
+        self._recent.append(now)
+        if len(self._recent) <= self._options.window:
+            return []
+        old = len(self._frames) - 1 - self._options.window
+        last_seen = [track.key for track in self._recent.pop(0) if track.views[-1].k == old]
+        return [*self._factors.keys(old), *last_seen]
+
+    def _find_astray(self, seen: Sequence[Track]) -> None:
+        """Set aside landmarks that came to lie behind the camera, in it, or on their way to infinity.
+
+        A stereo factor whose point is behind the camera has no Jacobian, and the system loses rank; a
+        point gets there through infinity as easily as through the camera.
+        """
+        points = self._engine.points([track.key for track in seen])
+        for track, point in zip(seen, points, strict=True):
+            track.point = point
+        self._set_aside([seen[index] for index in np.flatnonzero(~self._plausible(points))])
+
+    def _plausible(self, points: Array) -> BoolArray:
+        """Whether points ``(n, 3)`` are where the newest camera can have seen them."""
+        rig = self._problem.rig
+        depth = se3.transform(rig.cam_T_imu @ se3.inverse(self._poses[-1]), points)[:, 2]
+        return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
+
+    def _set_aside(self, tracks: Sequence[Track]) -> None:
+        self._tracks.put_aside(tracks)
+        for track in tracks:
+            self._remove += track.slots
+
+    def _rescue(
+        self, frame: Frame, owners: Sequence[Track], error: IndeterminateError
+    ) -> None:
+        """Repeat a step, whose last factors are of the tracks ``owners``, without the landmarks that broke it.
+
+        First without those that the error names or that lie where they cannot; then without any in view, and
+        from the causal poses.
+        """
+        self._counts["rescues"] += 1
+        if self._counts["rescues"] > self._options.max_rescues:
+            raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
+        held, point = self._engine.factors(), self._engine.linearization_point()
+        for slot, track in enumerate(owners, start=held.size() - len(owners)):
+            track.slots.append(slot)
+        in_view = [track for track in self._tracks.in_view.values() if point.exists(track.key)]
+        where = np.array([point.atPoint3(track.key) for track in in_view]).reshape(-1, 3)
+        named = np.array([track.key == error.key for track in in_view], dtype=bool)
+        strange = [in_view[index] for index in np.flatnonzero(~self._plausible(where) | named)]
+        for suspects, poses in ((strange, {}), (in_view, dict(enumerate(self._poses)))):
+            if not suspects and not poses:
+                continue
+            found = ", ".join(self._describe(track, point) for track in suspects[:3])
+            self._set_aside([track for track in suspects if track.id in self._tracks.in_view])
+            try:
+                self._rebuild(frame, held, point, poses)
+            except IndeterminateError:
+                continue
+            self._events.append(
+                f"frame {frame.k}: {error}; {len(suspects)} landmarks set aside, as {found or 'none'}"
+            )
+            return
+        raise DivergedError(f"{error}, also without any landmark in view")
+
+    def _rebuild(
+        self,
+        frame: Frame,
+        held: gtsam.NonlinearFactorGraph,
+        point: gtsam.Values,
+        poses: Mapping[int, Array],
+    ) -> None:
+        """Build the solver anew from factors it held, less those to be removed; ``poses`` replace those of ``point``."""
+        gone = set(self._remove)
+        kept = [slot for slot in range(held.size()) if held.exists(slot) and slot not in gone]
+        graph = gtsam.NonlinearFactorGraph()
+        for slot in kept:
+            graph.push_back(held.at(slot))
+        asked = graph.keys()
+        values = gtsam.Values(point)
+        for key in list(values.keys()):
+            if not asked.count(key):
+                values.erase(key)
+        for k in self._held():
+            if k in poses:
+                values.update(X(k), gtsam.Pose3(poses[k]))
+        landmarks = self._tracks.landmarks
+        stamps = {key: self._stamps[k] for k in self._held() for key in self._factors.keys(k)}
+        stamps |= {track.key: self._stamps[track.views[-1].k] for track in landmarks}
+        stamps |= dict.fromkeys(self._factors.tied(frame.k), frame.stamp)
+        old = frame.k - self._options.window
+        resting = [key for k in self._held() if k <= old for key in self._factors.keys(k)]
+        resting += [track.key for track in landmarks if track.views[-1].k <= old]
+        self._engine = engine.make(self._options)
+        slots = self._engine.update(
+            graph,
+            values,
+            stamps={key: stamp for key, stamp in stamps.items() if values.exists(key)},
+            newest=self._factors.tied(frame.k),
+            resting=resting,
+            remove=[],
+        )
+        moved = dict(zip(kept, slots, strict=True))
+        for track in self._tracks.in_view.values():
+            track.slots = [moved[slot] for slot in track.slots if slot in moved]
+        self._remove = []
+        self._read(frame)
+
+    def _describe(self, track: Track, point: gtsam.Values) -> str:
+        """Say of a landmark what tells why it broke a step."""
+        rig, view = self._problem.rig, track.views[-1]
+        disparity = view.z[0] - view.z[1]
+        measured = rig.fx * rig.baseline / disparity
+        cam_T_world = rig.cam_T_imu @ se3.inverse(self._poses[-1])
+        depth = se3.transform(cam_T_world, point.atPoint3(track.key))[2]
+        return (
+            f"track {track.id} ({len(track.views)} views, disparity {disparity:.1f} px, "
+            f"depth {depth:.1f} m for {measured:.1f} m)"
+        )
+
+    def _finish(self, tracks: Sequence[Track]) -> gtsam.Values:
+        """Do what the options ask for in the end, and return the estimate."""
+        values = self._engine.estimate()
+        if self._options.final == "relinearised":
+            for _ in range(self._options.final_iterations):
+                try:
+                    self._engine.settle()
+                    values = self._engine.estimate()
+                except IndeterminateError:
+                    self._counts["final_iterations_undone"] += 1
+                    break
+        return values
+
+    def _graph(self, tracks: Sequence[Track]) -> gtsam.NonlinearFactorGraph:
+        """All factors of the drive, anew, with the landmarks of these tracks."""
+        graph = gtsam.NonlinearFactorGraph()
+        for k, frame in enumerate(self._frames):
+            for factor in self._factors.step(frame, self._frames[k - 1] if k else None):
+                graph.add(factor)
+        for track in tracks:
+            for view in track.views:
+                graph.add(self._factors.stereo(view.k, track.key, z=view.z, sigma=view.sigma))
+        return graph

@@ -1,0 +1,62 @@
+"""Options of the smoothers, and what can be asked of their end."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from vislam.fields import STRICT, NonNegative, Positive
+
+Kernel = Literal["none", "huber", "cauchy", "tukey", "welsch", "geman_mcclure", "dcs"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SmootherOptions:
+    """Options of a smoother. The members of the family are settings of them."""
+
+    robust: Kernel = "none"
+    """Robust kernel of the stereo factors."""
+    robust_threshold: Positive | None = None
+    """Its threshold in standard deviations; null: where it is 95 % efficient under Gaussian noise."""
+    lag_s: Positive | None = None
+    """Marginalise what was last seen longer ago than this [s]; null: keep all in the graph."""
+    relinearize_every: Annotated[int, Field(ge=0)] = 5
+    """Frames between two relinearisations on the way; 0: none, not in the end either."""
+    window: Annotated[int, Field(ge=1)] = 5
+    """Frames after its last sight for which a variable may still be relinearised, until the end."""
+    pose_threshold_rad: Positive = 0.01
+    """Relinearise a pose that turned by more than this [rad]."""
+    pose_threshold_m: Positive = 0.1
+    """Relinearise a pose that moved by more than this [m]."""
+    landmark_threshold: Positive = 0.15
+    """Relinearise a landmark that moved by more than this share of its depth."""
+    wildfire_threshold: NonNegative = 0.01
+    """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
+    start_clearance: Positive = 5.0
+    """A landmark starts when its disparity is this many standard deviations away from zero."""
+    min_disparity_px: Positive = 1.3
+    """A landmark whose disparity, as estimated, falls below this has gone astray [px]."""
+    max_waiting_views: Annotated[int, Field(ge=2)] = 30
+    """Views that a waiting track keeps; older ones are dropped and counted."""
+    final: Literal["as_is", "relinearised", "batch", "gnc"] = "relinearised"
+    """What is done after the last frame: nothing, updates that relinearise everything, Levenberg-Marquardt from
+    there with the landmarks triangulated anew until the cost rests, or the same by graduated non-convexity."""
+    final_iterations: Annotated[int, Field(ge=1)] = 1
+    """Updates of ``relinearised``; rounds of triangulation and optimisation, at most, of ``batch``."""
+    factors: Literal["stereo", "smart"] = "stereo"
+    """Factors of ``batch``: one a sight, or one smart factor a track, which holds no landmark."""
+    pose_cov_every: Annotated[int, Field(ge=0)] = 0
+    """Frames between two marginal covariances of the newest pose; 0: none."""
+    marginals: Literal["none", "poses", "all"] = "none"
+    """Whose marginal covariances are computed in the end: nobody's, all poses', or the landmarks' as well."""
+    max_rescues: Annotated[int, Field(ge=0)] = 50
+    """A run with more rescues than this has failed."""
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning together."""
+        if self.lag_s is not None and self.final in ("batch", "gnc"):
+            raise ValueError(f"final: {self.final} needs the whole drive, lag_s marginalises it; set one to null")
+        if self.factors == "smart" and self.final != "batch":
+            raise ValueError("factors: smart ones are for final: batch alone")
+        if self.robust_threshold is not None and self.robust == "none":
+            raise ValueError("robust_threshold: there is no robust kernel it could be the threshold of")

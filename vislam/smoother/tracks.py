@@ -1,0 +1,179 @@
+"""The tracks of a smoother: which wait, which are landmarks of the graph, which have ended."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vislam.data.sequence import Frame
+from vislam.sensors import StereoRig
+from vislam.smoother.keys import landmark
+from vislam.smoother.triangulation import Start, triangulate
+from vislam.types import Array, BoolArray
+
+_CHUNK = 512
+"""Tracks that are triangulated together."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One stereo observation of a track: frame, ``z (3,)`` and ``sigma (3,)`` [px]."""
+
+    k: int
+    z: Array
+    sigma: Array
+
+
+@dataclass(slots=True)
+class Track:
+    """A track and, once it is one, its landmark.
+
+    Attributes
+    ----------
+    id : int
+        Its id in the sequence.
+    views : list of View
+    key : int
+        Key of its landmark; 0 while it waits.
+    slots : list of int
+        Where its factors are in the solver.
+    point : (3,)
+        Its landmark as estimated when it was last in view [m].
+    """
+
+    id: int
+    views: list[View] = field(default_factory=list)
+    key: int = 0
+    slots: list[int] = field(default_factory=list)
+    point: Array = field(default_factory=lambda: np.zeros(3))
+
+
+class Tracks:
+    """All tracks of a drive, each in one of four places.
+
+    A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not have it,
+    it ends. A track whose landmark went astray is set aside for as long as it lasts.
+
+    Attributes
+    ----------
+    waiting, in_view : dict
+        By the track's id.
+    ended : list of Track
+        Landmarks of the graph that are out of view.
+    too_weak, set_aside, views_dropped : int
+        Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting tracks
+        that were let go.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: dict[int, Track] = {}
+        self.in_view: dict[int, Track] = {}
+        self.ended: list[Track] = []
+        self.too_weak = self.set_aside = self.views_dropped = 0
+        self._aside: set[int] = set()
+        self._started = 0
+
+    @property
+    def landmarks(self) -> list[Track]:
+        """All tracks whose landmarks are in the graph."""
+        return [*self.ended, *self.in_view.values()]
+
+    def take(self, frame: Frame, refused: BoolArray) -> list[Track]:
+        """Add a frame's views; returns the landmarks that got one, in the frame's order."""
+        here = frame.track.tolist()
+        present = set(here)
+        self._aside &= present
+        for gone in self.waiting.keys() - present:
+            del self.waiting[gone]
+            self.too_weak += 1
+        for gone in sorted(self.in_view.keys() - present):
+            self.ended.append(self.in_view.pop(gone))
+        seen = []
+        for row in np.flatnonzero(~refused).tolist():
+            name = here[row]
+            if name in self._aside:
+                continue
+            view = View(frame.k, frame.z[row], frame.sigma[row])
+            track = self.in_view.get(name)
+            if track is not None:
+                track.views.append(view)
+                seen.append(track)
+            else:
+                self.waiting.setdefault(name, Track(name)).views.append(view)
+        return seen
+
+    def start(
+        self, rig: StereoRig, poses: Sequence[Array], *, clear: float, most: int, oldest: int
+    ) -> list[Track]:
+        """Make landmarks of those waiting tracks whose depth has become clear, and return them.
+
+        Parameters
+        ----------
+        rig : StereoRig
+        poses : sequence of (4, 4)
+            Poses of all frames so far.
+        clear : float
+            How many standard deviations the disparity must be away from zero.
+        most : int
+            Views that a waiting track keeps.
+        oldest : int
+            First frame whose pose can still be tied to.
+        """
+        candidates = []
+        for track in self.waiting.values():
+            kept = [view for view in track.views[-most:] if view.k >= oldest]
+            self.views_dropped += len(track.views) - len(kept)
+            track.views = kept
+            if len(kept) > 1:
+                candidates.append(track)
+        if not candidates:
+            return []
+        found = locate(rig, candidates, poses, clear=clear)
+        started = []
+        for index in np.flatnonzero(found.ready).tolist():
+            track = self.waiting.pop(candidates[index].id)
+            track.key = landmark(self._started, float(found.depth[index]))
+            self._started += 1
+            track.point = found.points_world[index]
+            self.in_view[track.id] = track
+            started.append(track)
+        return started
+
+    def put_aside(self, tracks: Sequence[Track]) -> None:
+        """Fuse these tracks no more."""
+        for track in tracks:
+            for place in (self.in_view, self.waiting):
+                place.pop(track.id, None)
+            self._aside.add(track.id)
+        gone = {id(track) for track in tracks}
+        self.ended = [track for track in self.ended if id(track) not in gone]
+        self.set_aside += len(tracks)
+
+
+def locate(rig: StereoRig, tracks: Sequence[Track], poses: Sequence[Array], *, clear: float) -> Start:
+    """Triangulate tracks from all their views at given poses, ``poses[k] (4, 4)`` that of frame k."""
+    counts = np.array([len(track.views) for track in tracks])
+    order = np.argsort(counts, kind="stable")
+    first = min(track.views[0].k for track in tracks)
+    last = max(track.views[-1].k for track in tracks)
+    near = np.array(poses[first : last + 1])
+    parts = []
+    for begin in range(0, len(order), _CHUNK):
+        chosen = order[begin : begin + _CHUNK]
+        views = [view for index in chosen for view in tracks[index].views]
+        most = int(counts[chosen[-1]])
+        at = np.arange(most) < counts[chosen, None]
+        frames = np.repeat([[tracks[index].views[0].k] for index in chosen], most, axis=1)
+        z = np.repeat([[tracks[index].views[0].z] for index in chosen], most, axis=1)
+        sigma = np.full(z.shape, np.inf)
+        frames[at] = [view.k for view in views]
+        z[at] = [view.z for view in views]
+        sigma[at] = [view.sigma for view in views]
+        parts.append(triangulate(rig, near[frames - first], z, sigma, clear=clear))
+    back = np.empty_like(order)
+    back[order] = np.arange(len(order))
+    return Start(
+        np.concatenate([part.points_world for part in parts])[back],
+        np.concatenate([part.depth for part in parts])[back],
+        np.concatenate([part.ready for part in parts])[back],
+    )
