@@ -247,6 +247,7 @@ def make(options: SmootherOptions) -> Engine:
 
 def _parameters(options: SmootherOptions) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
+    parameters.setFactorization(options.factorization.upper())
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
     pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
     parameters.setRelinearizeThreshold(thresholds(pose=pose, depth_share=options.landmark_threshold))

@@ -314,7 +314,7 @@ class SmootherEstimator:
         disparity = view.z[0] - view.z[1]
         measured = rig.fx * rig.baseline / disparity
         cam_T_world = rig.cam_T_imu @ se3.inverse(self._poses[-1])
-        depth = se3.transform(cam_T_world, point.atPoint3(track.key))[2]
+        depth = se3.transform(cam_T_world, point.atPoint3(track.key)[None])[0, 2]
         return (
             f"track {track.id} ({len(track.views)} views, disparity {disparity:.1f} px, "
             f"depth {depth:.1f} m for {measured:.1f} m)"
