@@ -219,6 +219,7 @@ def write_metrics(
                 "error": run.error,
                 "frames": len(run.stamp),
                 "counts": run.counts,
+                "events": list(run.events),
             }
             for name, run in runs.items()
         },

@@ -56,6 +56,7 @@ def write_page(
         ],
         counts=_counts(counts, repairs, runs),
         repairs=_repairs(repairs),
+        events={name: run.events for name, run in runs.items() if run.events},
         provenance=provenance,
         config=config,
         draw=_draw,
