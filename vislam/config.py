@@ -158,11 +158,16 @@ class Config:
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
     """Share of good observations that the chi-square gate lets pass."""
     gates_from: str | None = "ekf"
-    """Estimator whose gate decisions hold for all that run after it; null: each for itself."""
+    """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
+    where there is ``frozen_by``."""
+    frozen_by: tuple[str, ...] = ()
+    """Runs that make a frozen list of observations: they go first, one after the other, each refused what
+    those before it left out. Then all run afresh on what each of these fused, and none gates for itself."""
     estimators: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {"dead_reckoning": {}, "ekf": {}, "isam2": {}}
     )
-    """The estimators in the order they run, each with its own options."""
+    """The runs in order, each with the options of its estimator. A run is of the estimator it is named for or
+    of the one that its section names: ``{mine: {estimator: ekf, gate: false}}``."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Annotated[int, Field(ge=0)] = 0

@@ -52,7 +52,7 @@ class Problem:
     track_noise : TrackNoise
         What the pixels of a track are off by.
     gate_probability : float
-        Share of good observations that a chi-square gate lets pass.
+        Share of good observations that a chi-square gate lets pass; 1: there is to be no gate.
     clock_sigma : float
         Prior standard deviation of the inertial stamps' further offset from the camera's [s]; 0: known.
     disparity_offset_sigma : float
@@ -158,11 +158,12 @@ class Estimator(Protocol):
 Build = Callable[[Problem, Mapping[str, Any]], Estimator]
 
 
-def find(name: str) -> Build:
-    """Find an estimator's builder by its name; ConfigError if there is none."""
+def find(name: str, *, section: str = "") -> Build:
+    """Find an estimator's builder by its name; a ConfigError names the config section if it is another."""
     known = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in known:
-        raise ConfigError(f"estimators.{name}: no such estimator; installed are {', '.join(sorted(known))}")
+        where = f"estimators.{name}" if section in ("", name) else f"estimators.{section}.estimator: {name}"
+        raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(known))}")
     build: Build = known[name].load()
     return build
 
