@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.cli.test_compare import TINY
+from tests.cli.test_compare import TINY, config_file
 from tests.test_estimator import Scripted, everything
 from vislam import estimator
 from vislam.compare import main
@@ -103,24 +103,22 @@ def test_the_list_has_a_name_of_its_own(short: Dataset):
     assert same.digest == frozen.digest
 
 
-def test_the_command_tells_the_list_and_a_rerun_has_the_same(tmp_path, capsys):
-    keys = [
-        "--set",
-        "frozen_by=[ekf, isam2]",
-        "--set",
-        "estimators.ekf_all={estimator: ekf, observations: all}",
-    ]
-    sections = [
-        "--set",
-        "estimators.dead_reckoning={}",
-        "--set",
-        "estimators.ekf={}",
-        "--set",
-        "estimators.isam2={}",
-    ]
+RUNGS = """
+frozen_by: [ekf, isam2]
+estimators:
+  dead_reckoning: {}
+  ekf_all: {estimator: ekf, observations: all}
+  ekf: {}
+  isam2: {}
+ladder: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoothing}
+"""
+
+
+def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, capsys):
+    config = config_file(tmp_path / "rungs.yaml", f"extends: {TINY}\nname: rungs\n{RUNGS}")
     documents = []
     for out in ("one", "two"):
-        assert main(["--config", TINY, "--out", str(tmp_path / out), *keys, *sections]) == 0
+        assert main(["--config", config, "--out", str(tmp_path / out)]) == 0
         (folder,) = (tmp_path / out).iterdir()
         documents.append(json.loads((folder / "metrics.json").read_text()))
     frozen = documents[0]["dataset"]["frozen"]
@@ -132,10 +130,17 @@ def test_the_command_tells_the_list_and_a_rerun_has_the_same(tmp_path, capsys):
     assert runs["ekf"]["listed_not_fused"] == 0
     assert runs["ekf_all"]["listed_not_fused"] is None
     assert runs["ekf"]["events"] == []
+    page = (folder / "report.html").read_text()
     said = f"Frozen list {frozen['digest']}: {frozen['kept']} of {frozen['of']} observations, which ekf"
     assert said in capsys.readouterr().out
-    assert said in (folder / "report.html").read_text()
-    assert "instead: ekf_all." in (folder / "report.html").read_text()
+    assert said in page
+    assert "instead: ekf_all." in page
+    value = {(m["estimator"], m["key"]): m["value"] for m in documents[0]["metrics"]}
+    rungs = documents[0]["attribution"]
+    assert [rung["run"] for rung in rungs] == ["dead_reckoning", "ekf", "isam2"]
+    assert rungs[2]["change"] == value["isam2", "ate_rmse"] - value["ekf", "ate_rmse"]
+    assert "<td>the camera</td>" in page
+    assert f"<td>{rungs[2]['change']:+.2f}</td>" in page
 
 
 def test_a_filter_takes_a_gate_of_one_for_none(short: Dataset, short_config: Config):

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -19,6 +19,7 @@ from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
 from vislam.estimator import ClimbNoise, Problem
 from vislam.evaluation import Evaluation, evaluate
+from vislam.evaluation.attribution import Rung, attribute
 from vislam.files import replace_whole
 from vislam.frozen import FrozenList
 from vislam.members import members
@@ -156,12 +157,14 @@ def write_results(
         write_npz(folder / f"{name}_trajectory.npz", run)
         write_ply(folder / f"{name}.ply", run.points_world)
     made_by = provenance()
+    rungs = attribute(config.ladder, runs, evaluation, dataset.reference)
     write_metrics(
         folder / "metrics.json",
         config,
         dataset=dataset,
         runs=runs,
         evaluation=evaluation,
+        rungs=rungs,
         frozen=frozen,
         provenance=made_by,
     )
@@ -176,6 +179,7 @@ def write_results(
         notes=dataset.notes,
         runs=runs,
         evaluation=evaluation,
+        rungs=rungs,
         reference=dataset.reference,
         counts=dataset.sequence.counts,
         repairs=dataset.sequence.repairs,
@@ -193,6 +197,7 @@ def write_metrics(
     dataset: Dataset,
     runs: Mapping[str, Run],
     evaluation: Evaluation,
+    rungs: Sequence[Rung],
     frozen: FrozenList | None,
     provenance: Mapping[str, str],
 ) -> None:
@@ -226,6 +231,7 @@ def write_metrics(
         },
         "provenance": dict(provenance),
         "metrics": evaluation.records(),
+        "attribution": [asdict(rung) for rung in rungs],
     }
     with replace_whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

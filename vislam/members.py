@@ -51,9 +51,10 @@ class Member:
 
 def members(config: Config) -> dict[str, Member]:
     """Members of a comparison by the name of their run, in order; a ConfigError names the key."""
-    for name in config.frozen_by:
-        if name not in config.estimators:
-            raise ConfigError(f"frozen_by: expected names out of {', '.join(config.estimators)}, got {name}")
+    for key, names in (("frozen_by", config.frozen_by), ("ladder", config.ladder)):
+        for name in names:
+            if name not in config.estimators:
+                raise ConfigError(f"{key}: expected names out of {', '.join(config.estimators)}, got {name}")
     found = {name: _member(name, section) for name, section in config.estimators.items()}
     for name, member in found.items():
         if member.takes_all and not config.frozen_by:

@@ -52,6 +52,11 @@ class Evaluation:
         return [asdict(metric) for metric in self.metrics]
 
 
+def headline(reference: Reference) -> str:
+    """Key of the error that says how right a run is: the ATE, planar where the reference is [m]."""
+    return "ate_planar_rmse" if reference.planar else "ate_rmse"
+
+
 def evaluate(runs: Mapping[str, Run], reference: Reference | None) -> Evaluation:
     """Score runs, in their order.
 
