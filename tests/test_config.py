@@ -36,6 +36,23 @@ def test_a_config_goes_over_the_one_it_extends(tmp_path):
     assert found.estimators == {"eks": {}}
 
 
+LADDER = {"ekf": "the camera", "isam2": "smoothing"}
+
+
+def test_a_ladder_is_replaced_whole_and_told_whole(tmp_path):
+    write(tmp_path, "base.yaml", f"{BASE}ladder: {LADDER}")
+    own = write(
+        tmp_path,
+        "own.yaml",
+        "extends: base.yaml\nestimators: {eks: {}, ekf: {}}\nladder: {eks: all, ekf: less}",
+    )
+    found = config.load(own)
+    assert list(found.ladder) == ["eks", "ekf"]
+    chosen = config.with_estimators(found, {"ekf": {}, "eks": {}, "isam2": {}})
+    assert chosen.ladder == found.ladder
+    assert config.with_estimators(found, {"ekf": {}}).ladder == {}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -3,8 +3,8 @@
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,19 +13,22 @@ from typing import Any
 import numpy as np
 
 from vislam import config as configuration
-from vislam import estimator
 from vislam.config import Config
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
-from vislam.estimator import ClimbNoise, Estimator, Problem
+from vislam.estimator import ClimbNoise, Problem
 from vislam.evaluation import Evaluation, evaluate
+from vislam.evaluation.attribution import Rung, attribute
 from vislam.files import replace_whole
+from vislam.frozen import FrozenList
+from vislam.members import members
 from vislam.motion import MotionNoise
 from vislam.report.figures import all_figures
 from vislam.report.page import write_page
 from vislam.report.table import SHORT, comparison_table
 from vislam.run import Run
+from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
 from vislam.types import Array
@@ -41,6 +44,7 @@ class Outcome:
     folder: Path
     runs: Mapping[str, Run]
     evaluation: Evaluation
+    frozen: FrozenList | None
 
 
 def compare(
@@ -53,14 +57,20 @@ def compare(
     Raises
     ------
     ConfigError, DataError
-        Before anything is written.
+        Before anything is written, but for the folder.
+    DivergedError
+        The same, if an estimator that the list of observations is to come from is incomplete.
     """
-    builders = {name: estimator.find(name) for name in config.estimators}
+    chosen = members(config)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
     if dataset.sequence.observations == 0:
         raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
     problem = make_problem(config, dataset)
-    estimators = {name: builders[name](problem, options) for name, options in config.estimators.items()}
+    # Who is given a frozen list does not gate; who is given all observations does as it is told.
+    listed = replace(problem, gate_probability=1.0) if config.frozen_by else problem
+    estimators = {
+        name: member.build(problem if member.takes_all else listed) for name, member in chosen.items()
+    }
     for note in dataset.notes:
         terminal.note(note)
     folder = out / result_id(config, dataset)
@@ -68,15 +78,19 @@ def compare(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
-    runs = run_all(estimators, config, dataset, terminal)
+    runner = Runner(dataset.sequence, pixel_sigma(config, dataset), config.blas_threads, terminal)
+    frozen = runner.freeze(chosen, problem, by=config.frozen_by) if config.frozen_by else None
+    runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
     evaluation = evaluate(runs, dataset.reference)
-    write_results(folder, config, dataset, runs, evaluation)
+    write_results(folder, config, dataset, runs, evaluation, frozen=frozen)
     table = comparison_table(runs, evaluation, keys=SHORT)
     terminal.table(table, title=_title(config, dataset), path=folder / "report.html")
+    if frozen is not None:
+        terminal.note(frozen.tell(runs))
     for name, run in runs.items():
         if not run.complete:
             terminal.note(f"{name} is incomplete: {run.error}")
-    return Outcome(folder, runs, evaluation)
+    return Outcome(folder, runs, evaluation, frozen)
 
 
 def make_problem(config: Config, dataset: Dataset) -> Problem:
@@ -117,30 +131,6 @@ def _track_noise(config: Config) -> TrackNoise:
     return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
 
 
-def run_all(
-    estimators: Mapping[str, Estimator], config: Config, dataset: Dataset, terminal: Terminal
-) -> dict[str, Run]:
-    """Run the estimators one after the other; what one gates may be refused to all that follow."""
-    sequence = dataset.sequence
-    sigma = pixel_sigma(config, dataset)
-    refused = np.zeros(sequence.observations, bool)
-    runs = {}
-    for name, solver in estimators.items():
-        with terminal.progress(name, len(sequence)) as bar:
-            runs[name] = estimator.run(
-                solver,
-                sequence,
-                sigma,
-                name=name,
-                refused=refused,
-                on_frame=lambda k, bar=bar: bar.update(0, completed=k + 1),  # type: ignore[misc]
-                blas_threads=config.blas_threads,
-            )
-        if name == config.gates_from:
-            refused = runs[name].gated
-    return runs
-
-
 def result_id(config: Config, dataset: Dataset) -> str:
     """Hash of config, data and code version."""
     parts = [configuration.dump(config), dataset.sequence.digest, _code_digest()]
@@ -148,7 +138,13 @@ def result_id(config: Config, dataset: Dataset) -> str:
 
 
 def write_results(
-    folder: Path, config: Config, dataset: Dataset, runs: Mapping[str, Run], evaluation: Evaluation
+    folder: Path,
+    config: Config,
+    dataset: Dataset,
+    runs: Mapping[str, Run],
+    evaluation: Evaluation,
+    *,
+    frozen: FrozenList | None,
 ) -> None:
     """Write everything a comparison leaves behind, each file whole or not at all."""
     text = configuration.dump(config)
@@ -161,12 +157,15 @@ def write_results(
         write_npz(folder / f"{name}_trajectory.npz", run)
         write_ply(folder / f"{name}.ply", run.points_world)
     made_by = provenance()
+    rungs = attribute(config.ladder, runs, evaluation, dataset.reference)
     write_metrics(
         folder / "metrics.json",
         config,
         dataset=dataset,
         runs=runs,
         evaluation=evaluation,
+        rungs=rungs,
+        frozen=frozen,
         provenance=made_by,
     )
     paths = {}
@@ -180,9 +179,11 @@ def write_results(
         notes=dataset.notes,
         runs=runs,
         evaluation=evaluation,
+        rungs=rungs,
         reference=dataset.reference,
         counts=dataset.sequence.counts,
         repairs=dataset.sequence.repairs,
+        frozen="" if frozen is None else frozen.tell(runs),
         figures=paths,
         provenance="\n".join(f"{key}: {value}" for key, value in made_by.items()),
         config=text,
@@ -196,10 +197,13 @@ def write_metrics(
     dataset: Dataset,
     runs: Mapping[str, Run],
     evaluation: Evaluation,
+    rungs: Sequence[Rung],
+    frozen: FrozenList | None,
     provenance: Mapping[str, str],
 ) -> None:
     """Write ``metrics.json``."""
     reference = dataset.reference
+    not_fused = {} if frozen is None else frozen.not_fused(runs)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "name": config.name,
@@ -211,6 +215,7 @@ def write_metrics(
             "digest": dataset.sequence.digest,
             "counts": dataset.sequence.counts,
             "repairs": [asdict(step) for step in dataset.sequence.repairs],
+            "frozen": None if frozen is None else frozen.record(),
             "notes": list(dataset.notes),
         },
         "runs": {
@@ -219,11 +224,14 @@ def write_metrics(
                 "error": run.error,
                 "frames": len(run.stamp),
                 "counts": run.counts,
+                "listed_not_fused": not_fused.get(name),
+                "events": list(run.events),
             }
             for name, run in runs.items()
         },
         "provenance": dict(provenance),
         "metrics": evaluation.records(),
+        "attribution": [asdict(rung) for rung in rungs],
     }
     with replace_whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -19,6 +19,8 @@ Parsed = TypeVar("Parsed")
 
 STAMPED = ("tum", "euroc")
 """Formats of a reference that name stamps, not frames."""
+_WHOLE = ("estimators", "ladder")
+"""Sections in which the order matters: a config that extends another replaces them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -158,11 +160,19 @@ class Config:
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
     """Share of good observations that the chi-square gate lets pass."""
     gates_from: str | None = "ekf"
-    """Estimator whose gate decisions hold for all that run after it; null: each for itself."""
+    """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
+    where there is ``frozen_by``."""
+    frozen_by: tuple[str, ...] = ()
+    """Runs that make a frozen list of observations: they go first, one after the other, each refused what
+    those before it left out. Then all run afresh on what each of these fused, and none gates for itself."""
     estimators: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {"dead_reckoning": {}, "ekf": {}, "isam2": {}}
     )
-    """The estimators in the order they run, each with its own options."""
+    """The runs in order, each with the options of its estimator. A run is of the estimator it is named for or
+    of the one that its section names: ``{mine: {estimator: ekf, gate: false}}``."""
+    ladder: dict[str, str] = field(default_factory=dict)
+    """What each run adds to the one before it here, by the name of the run; the report then says what that
+    does to the error. Order them so that each differs from the one before by one thing."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -173,7 +183,7 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     """Load a configuration file.
 
     A file may build on another, named by ``extends`` relative to itself: its own values go over those of the
-    other, key by key in sections; ``estimators`` is replaced as a whole.
+    other, key by key in sections; ``estimators`` and ``ladder`` are replaced as a whole.
 
     Parameters
     ----------
@@ -212,7 +222,7 @@ def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """Lay one tree over another."""
     merged = dict(base)
     for key, value in own.items():
-        inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key != "estimators"
+        inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key not in _WHOLE
         merged[key] = _over(merged[key], value) if inside else value
     return merged
 
@@ -245,8 +255,9 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
 
 
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
-    """Return the configuration with other estimators."""
-    return replace(config, estimators=estimators)
+    """Return the configuration with other estimators; a ladder that lacks one of its rungs is left out."""
+    ladder = config.ladder if config.ladder.keys() <= estimators.keys() else {}
+    return replace(config, estimators=estimators, ladder=ladder)
 
 
 def dump(config: Config) -> str:

@@ -52,7 +52,7 @@ class Problem:
     track_noise : TrackNoise
         What the pixels of a track are off by.
     gate_probability : float
-        Share of good observations that a chi-square gate lets pass.
+        Share of good observations that a chi-square gate lets pass; 1: there is to be no gate.
     clock_sigma : float
         Prior standard deviation of the inertial stamps' further offset from the camera's [s]; 0: known.
     disparity_offset_sigma : float
@@ -89,7 +89,7 @@ class StepRecord:
     log_likelihood : float
         Logarithm of the density of their innovations; NaN where the estimator does not have it.
     used : (n,)
-        Which of the frame's observations were fused.
+        Which of the frame's observations were fused, as far as is known at the frame.
     gated : (n,)
         Which of them the estimator itself refused.
     """
@@ -124,6 +124,12 @@ class Estimate:
         What was dropped, waited for, rescued.
     up : (3,) or None
         Direction of up in the world; None if not estimated.
+    fused : tuple of (m,), (m,) or None
+        Frame index and track id of every observation that the estimate rests on, in any order; None where
+        the ``used`` of the frames is the last word. For who fuses observations of earlier frames, or takes
+        some out again.
+    events : tuple of str
+        One line for each thing out of the ordinary that it had to do, such as a rescue.
     """
 
     world_T_imu: Array
@@ -133,6 +139,8 @@ class Estimate:
     points_cov: Array | None
     counts: dict[str, int]
     up: Array | None = None
+    fused: tuple[IntArray, IntArray] | None = None
+    events: tuple[str, ...] = ()
 
 
 class Estimator(Protocol):
@@ -150,11 +158,12 @@ class Estimator(Protocol):
 Build = Callable[[Problem, Mapping[str, Any]], Estimator]
 
 
-def find(name: str) -> Build:
-    """Find an estimator's builder by its name; ConfigError if there is none."""
+def find(name: str, *, section: str = "") -> Build:
+    """Find an estimator's builder by its name; a ConfigError names the config section if it is another."""
     known = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in known:
-        raise ConfigError(f"estimators.{name}: no such estimator; installed are {', '.join(sorted(known))}")
+        where = f"estimators.{name}" if section in ("", name) else f"estimators.{section}.estimator: {name}"
+        raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(known))}")
     build: Build = known[name].load()
     return build
 
@@ -208,6 +217,8 @@ def run(
                 used[rows], gated[rows] = record.used, record.gated
                 on_frame(frame.k)
             estimate = estimator.finalize()
+            if estimate.fused is not None:
+                used = sequence.mask_of(*estimate.fused)
         except (ArithmeticError, RuntimeError, ValueError, np.linalg.LinAlgError) as failure:
             text = next((line for line in str(failure).splitlines() if line.strip()), "")
             error = f"frame {len(records)}: {type(failure).__name__}: {text}"
@@ -242,6 +253,7 @@ def run(
         points_world=np.empty((0, 3)) if estimate is None else estimate.points_world,
         points_cov=None if estimate is None else estimate.points_cov,
         counts={} if estimate is None else estimate.counts,
+        events=() if estimate is None else estimate.events,
         **({} if estimate is None or estimate.up is None else {"up": estimate.up}),
     )
 

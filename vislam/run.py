@@ -41,13 +41,15 @@ class Run:
     peak_rss : int
         Largest resident memory while it ran [bytes].
     used, gated : (n,)
-        Which observations of the sequence were fused, and which the estimator refused.
+        Which observations of the sequence the final estimate has fused, and which the estimator refused.
     track, points_world, points_cov : (m,), (m, 3), (m, 3, 3) or None
         Landmarks [m].
     counts : dict
         What was dropped, waited for, rescued.
     up : (3,)
         Direction of up in the world; z where the estimator does not know better.
+    events : tuple of str
+        One line for each thing out of the ordinary that the estimator had to do.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Run:
     points_cov: Array | None
     counts: dict[str, int]
     up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    events: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -116,4 +119,5 @@ class Run:
         with np.load(path) as archive:
             values: dict[str, Any] = json.loads(str(archive["plain"]))
             values.update({key: archive[key] for key in archive.files if key != "plain"})
-        return cls(**values)
+        # JSON has no tuples, and a run saved before there were events has none.
+        return cls(**{**values, "events": tuple(values.get("events", ()))})

@@ -261,6 +261,18 @@ BAD_CONFIGS = {
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {ukf: {}}\n",
         "estimators.ukf: no such estimator; installed are dead_reckoning, ekf, ekf_fej",
     ),
+    "unknown estimator behind a name": (
+        "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: ukf}}\n",
+        "estimators.mine.estimator: ukf: no such estimator; installed are dead_reckoning, ekf, ekf_fej",
+    ),
+    "no name of an estimator": (
+        "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: 3}}\n",
+        "estimators.mine.estimator: Input should be a valid string, got 3",
+    ),
+    "no name of a file": (
+        "name: s\ndata: {simulation: {frames: 9}}\nestimators: {../mine: {estimator: ekf}}\n",
+        "estimators.../mine: expected letters",
+    ),
     "unknown option": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {isam2: {lag: 3}}\n",
         "estimators.isam2.lag: unknown key",

@@ -131,10 +131,13 @@ def test_an_incomplete_run_is_scored_on_what_it_finished():
 
 
 def test_a_run_survives_its_file(tmp_path):
-    run = made_run("a", circle(20), points_cov=np.zeros((3, 3, 3)), counts={"late": 2})
+    run = made_run(
+        "a", circle(20), points_cov=np.zeros((3, 3, 3)), counts={"late": 2}, events=("frame 3: one", "two")
+    )
     run.save(tmp_path / "runs" / "a.npz")
     back = Run.load(tmp_path / "runs" / "a.npz")
     assert back.counts == run.counts
+    assert back.events == run.events
     assert back.complete
     assert np.array_equal(back.world_T_imu, run.world_T_imu)
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["a.npz"]

@@ -167,6 +167,24 @@ class Sequence:
             counts={**self.counts, **counts},
         )
 
+    def mask_of(self, frame: IntArray, track: IntArray) -> BoolArray:
+        """Mask ``(n,)`` of the observations with these frame indices and track ids, ``(m,)`` in any order.
+
+        Raises
+        ------
+        ValueError
+            If the sequence lacks one of them.
+        """
+        many = max(self.track.max(initial=0), np.max(track, initial=0)) + 1
+        wanted = np.unique(frame * many + track)
+        found = np.isin(self.frame_of * many + self.track, wanted)
+        if np.count_nonzero(found) != len(wanted):
+            missing = len(wanted) - np.count_nonzero(found)
+            raise ValueError(
+                f"{missing} of {len(wanted)} pairs of frame and track are no observations of {self.name}"
+            )
+        return found
+
     def age(self) -> IntArray:
         """Frames since the first observation of each observation's track, ``(n,)``."""
         frame = self.frame_of

@@ -13,8 +13,11 @@ from vislam.evaluation.trajectory import distance_driven, match
 from vislam.run import Run
 from vislam.types import Array
 
-# Okabe and Ito's colours, which the colour-blind can tell apart.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+# Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
+_COLOURS = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"),
+    *("#332288", "#999933", "#882255"),
+)
 _SMALLEST_ERROR = 1e-2
 """Where the logarithmic axis of the error starts [m]; on a linear one dead reckoning flattens the rest."""
 _SMOOTHING = 25

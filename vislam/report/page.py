@@ -11,6 +11,8 @@ from markupsafe import Markup, escape
 from vislam.data import Repair
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
+from vislam.evaluation.attribution import Rung
+from vislam.evaluation.evaluate import headline
 from vislam.files import replace_whole
 from vislam.report.table import Table, comparison_table
 from vislam.run import Run
@@ -31,9 +33,11 @@ def write_page(
     notes: tuple[str, ...],
     runs: Mapping[str, Run],
     evaluation: Evaluation,
+    rungs: Sequence[Rung],
     reference: Reference | None,
     counts: Mapping[str, int],
     repairs: Sequence[Repair],
+    frozen: str,
     figures: Mapping[str, Path],
     provenance: str,
     config: str,
@@ -48,6 +52,7 @@ def write_page(
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
         table=comparison_table(runs, evaluation),
+        rungs=_rungs(rungs),
         pairs=_pairs(evaluation),
         figures=[
             (name, caption, base64.b64encode(figures[name].read_bytes()).decode("ascii"))
@@ -56,6 +61,8 @@ def write_page(
         ],
         counts=_counts(counts, repairs, runs),
         repairs=_repairs(repairs),
+        frozen=frozen,
+        events={name: run.events for name, run in runs.items() if run.events},
         provenance=provenance,
         config=config,
         draw=_draw,
@@ -68,13 +75,32 @@ def verdict(runs: Mapping[str, Run], evaluation: Evaluation, reference: Referenc
     """One sentence: who came closest, or that nobody can tell."""
     if reference is None:
         return "Without a reference nothing here says who is right; see how far the estimates are apart."
-    key = "ate_planar_rmse" if reference.planar else "ate_rmse"
-    scored = {name: evaluation.value(name, key) for name, run in runs.items() if run.complete}
+    scored = {name: evaluation.value(name, headline(reference)) for name, run in runs.items() if run.complete}
     ranked = sorted((value, name) for name, value in scored.items() if value is not None)
     if not ranked:
         return "No estimator finished, so there is no verdict."
     listed = ", ".join(f"{name} {value:.2f} m" for value, name in ranked)
     return f"Closest to {reference.name} is {ranked[0][1]} (ATE after rigid alignment: {listed})."
+
+
+def _rungs(rungs: Sequence[Rung]) -> Table:
+    header = ["rung", "adds", "ATE [m]", "change [m]", "as known at each time [m]", "the same less ATE [m]"]
+    rows = [
+        [
+            rung.run,
+            rung.adds,
+            _metres(rung.error, ".2f"),
+            _metres(rung.change, "+.2f"),
+            _metres(rung.causal, ".2f"),
+            _metres(rung.causal_less_final, "+.2f"),
+        ]
+        for rung in rungs
+    ]
+    return Table(header, rows)
+
+
+def _metres(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def _pairs(evaluation: Evaluation) -> Table:

@@ -1,0 +1,61 @@
+"""What the loop makes of what an estimator says."""
+
+import numpy as np
+import pytest
+
+from vislam import estimator
+from vislam.data.source import Dataset
+from vislam.estimator import Estimate, StepRecord
+
+
+class Scripted:
+    """Stays where it is, fuses what the script says of each frame, and says in the end what it is given."""
+
+    def __init__(self, uses, **final):
+        self._uses, self._final, self._frames = uses, final, 0
+
+    def process(self, frame, refused):
+        self._frames += 1
+        used = self._uses(frame) & ~refused
+        nothing = np.zeros(len(used), bool)
+        return StepRecord(np.eye(4), None, None, None, 0.0, 0, float("nan"), used, nothing)
+
+    def finalize(self):
+        poses = np.tile(np.eye(4), (self._frames, 1, 1))
+        return Estimate(poses, None, np.empty(0, np.int64), np.empty((0, 3)), None, {}, **self._final)
+
+
+def scripted_run(short, uses, **final):
+    sigma = np.ones((short.sequence.observations, 3))
+    return estimator.run(Scripted(uses, **final), short.sequence, sigma, name="scripted")
+
+
+def everything(frame):
+    return np.ones(len(frame.track), bool)
+
+
+def test_the_frames_have_the_last_word_unless_the_end_has(short: Dataset, rng):
+    sequence = short.sequence
+    odd = scripted_run(short, lambda frame: frame.track % 2 == 1)
+    assert np.array_equal(odd.used, sequence.track % 2 == 1)
+    # In any order, and one of them named twice.
+    chosen = rng.permutation(sequence.observations)[: sequence.observations // 3]
+    chosen = np.append(chosen, chosen[0])
+    late = scripted_run(short, everything, fused=(sequence.frame_of[chosen], sequence.track[chosen]))
+    assert late.complete
+    assert np.array_equal(np.flatnonzero(late.used), np.unique(chosen))
+    nothing = np.empty(0, np.int64)
+    assert not scripted_run(short, everything, fused=(nothing, nothing)).used.any()
+
+
+@pytest.mark.parametrize("track", [0, 10**6], ids=["out of view", "unknown"])
+def test_an_observation_that_never_was_makes_a_run_incomplete(short: Dataset, track):
+    last = len(short.sequence) - 1
+    assert 0 not in short.sequence.track[short.sequence.offset[last] :]
+    found = scripted_run(short, everything, fused=(np.array([last]), np.array([track])))
+    assert found.error.endswith("1 of 1 pairs of frame and track are no observations of simulation")
+
+
+def test_events_reach_the_run(short: Dataset):
+    assert scripted_run(short, everything).events == ()
+    assert scripted_run(short, everything, events=("frame 3: rescued",)).events == ("frame 3: rescued",)

@@ -1,0 +1,186 @@
+"""The frozen list: what one estimator left out, none is given."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.cli.test_compare import TINY, config_file
+from tests.test_estimator import Scripted, everything
+from vislam import estimator
+from vislam.compare import main
+from vislam.comparison import compare, make_problem, pixel_sigma
+from vislam.config import Config
+from vislam.data.source import Dataset
+from vislam.ekf import EkfEstimator
+from vislam.ekf.options import EkfOptions
+from vislam.errors import ConfigError, DivergedError
+from vislam.estimator import run
+from vislam.frozen import FrozenList
+from vislam.members import members
+from vislam.terminal import Terminal
+
+
+def build_ends(problem, options):
+    """Fuses everything on the way, and in the end takes out track 3, as far as it was given that."""
+    return Scripted(lambda frame: everything(frame) & (frame.track != 3))
+
+
+def build_whole(problem, options):
+    """Fuses whatever it is given; who asks is told what gate it was given, in the events."""
+    return Scripted(everything, events=(f"gate {problem.gate_probability}",))
+
+
+def build_blind(problem, options):
+    return Scripted(lambda frame: ~everything(frame))
+
+
+def build_failing(problem, options):
+    def fail(frame):
+        if frame.k == 4:
+            raise DivergedError("lost")
+        return everything(frame)
+
+    return Scripted(fail)
+
+
+@pytest.fixture
+def scripted(monkeypatch):
+    """Makes estimators installed that fuse what a test can foresee."""
+    builders = {"picky": build_ends, "whole": build_whole, "blind": build_blind, "failing": build_failing}
+    found = estimator.find
+    monkeypatch.setattr(estimator, "find", lambda name, **at: builders.get(name) or found(name, **at))
+
+
+def compared(config, folder, **changes):
+    config = replace(config, seed=3, **changes)
+    return compare(config, out=folder, data_dir=None, allow_stand_in=True, terminal=Terminal())
+
+
+def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config: Config, tmp_path):
+    sections = {"whole": {}, "picky": {}, "free": {"estimator": "whole", "observations": "all"}, "ekf": {}}
+    outcome = compared(short_config, tmp_path, estimators=sections, frozen_by=("picky", "ekf"))
+    assert all(run.complete for run in outcome.runs.values())
+    planted = short.sequence.track == 3
+    assert planted.any()
+    for name in ("whole", "picky", "ekf"):
+        assert not np.any(outcome.runs[name].used & planted)
+    assert outcome.runs["free"].used.all()
+    # What the filter's gate refuses in its own run, on what the picky one left of it, is off the list, too.
+    problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
+    alone = run(
+        members(replace(short_config, estimators={"ekf": {}}))["ekf"].build(problem),
+        short.sequence,
+        sigma,
+        name="ekf",
+        refused=planted,
+    )
+    assert alone.gated.any()
+    assert np.array_equal(outcome.runs["whole"].used, alone.used)
+    assert np.array_equal(outcome.frozen.kept, alone.used)
+    assert outcome.frozen.not_fused(outcome.runs) == {"whole": 0, "picky": 0, "ekf": 0}
+    # Nobody gates on the list; off it, all is as the config says.
+    assert outcome.runs["whole"].events == ("gate 1.0",)
+    assert outcome.runs["free"].events == (f"gate {short_config.gate_probability}",)
+    assert not outcome.runs["ekf"].gated.any()
+
+
+def test_the_list_has_a_name_of_its_own(short: Dataset):
+    kept = np.arange(short.sequence.observations) % 5 > 0
+    frozen = FrozenList.of(short.sequence, kept, by=("ekf",))
+    assert len(frozen.digest) == 12
+    assert FrozenList.of(short.sequence, kept.copy(), by=("ekf",)).digest == frozen.digest
+    fewer = kept.copy()
+    fewer[np.flatnonzero(kept)[-1]] = False
+    assert FrozenList.of(short.sequence, fewer, by=("ekf",)).digest != frozen.digest
+    other = replace(short.sequence, digest="another recording")
+    assert FrozenList.of(other, kept, by=("ekf",)).digest != frozen.digest
+    # The same observations, when a repair has dropped others already.
+    dropped = short.sequence.select(kept)
+    same = FrozenList.of(dropped, np.ones(dropped.observations, bool), by=("ekf",))
+    assert same.digest == frozen.digest
+
+
+RUNGS = """
+frozen_by: [ekf, isam2]
+estimators:
+  dead_reckoning: {}
+  ekf_all: {estimator: ekf, observations: all}
+  ekf: {}
+  isam2: {}
+ladder: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoothing}
+"""
+
+
+def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, capsys):
+    config = config_file(tmp_path / "rungs.yaml", f"extends: {TINY}\nname: rungs\n{RUNGS}")
+    documents = []
+    for out in ("one", "two"):
+        assert main(["--config", config, "--out", str(tmp_path / out)]) == 0
+        (folder,) = (tmp_path / out).iterdir()
+        documents.append(json.loads((folder / "metrics.json").read_text()))
+    frozen = documents[0]["dataset"]["frozen"]
+    assert frozen == documents[1]["dataset"]["frozen"]
+    assert frozen["by"] == ["ekf", "isam2"]
+    assert 0 < frozen["kept"] < frozen["of"]
+    runs = documents[0]["runs"]
+    assert runs["dead_reckoning"]["listed_not_fused"] == frozen["kept"]
+    assert runs["ekf"]["listed_not_fused"] == 0
+    assert runs["ekf_all"]["listed_not_fused"] is None
+    assert runs["ekf"]["events"] == []
+    page = (folder / "report.html").read_text()
+    said = f"Frozen list {frozen['digest']}: {frozen['kept']} of {frozen['of']} observations, which ekf"
+    assert said in capsys.readouterr().out
+    assert said in page
+    assert "instead: ekf_all." in page
+    value = {(m["estimator"], m["key"]): m["value"] for m in documents[0]["metrics"]}
+    rungs = documents[0]["attribution"]
+    assert [rung["run"] for rung in rungs] == ["dead_reckoning", "ekf", "isam2"]
+    assert rungs[2]["change"] == value["isam2", "ate_rmse"] - value["ekf", "ate_rmse"]
+    assert "<td>the camera</td>" in page
+    assert f"<td>{rungs[2]['change']:+.2f}</td>" in page
+
+
+def test_a_filter_takes_a_gate_of_one_for_none(short: Dataset, short_config: Config):
+    problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
+    open_gate = EkfEstimator(replace(problem, gate_probability=1.0), EkfOptions())
+    without = EkfEstimator(problem, EkfOptions(gate=False))
+    one = run(open_gate, short.sequence, sigma, name="one")
+    other = run(without, short.sequence, sigma, name="other")
+    assert not one.gated.any()
+    assert np.array_equal(one.world_T_imu, other.world_T_imu)
+
+
+NO_LIST = {
+    "a name that does not run": (
+        {"ekf": {}},
+        ("isam2",),
+        ConfigError("frozen_by: expected names out of ekf, got isam2"),
+    ),
+    "no list to be exempt from": (
+        {"ekf": {"observations": "all"}},
+        (),
+        ConfigError("estimators.ekf.observations: all are given anyway"),
+    ),
+    "neither the list nor all": (
+        {"ekf": {"observations": "some"}},
+        ("ekf",),
+        ConfigError("estimators.ekf.observations: Input should be"),
+    ),
+    "nothing is left": ({"blind": {}}, ("blind",), ConfigError("frozen_by: blind has fused no observation")),
+    "one that fails": (
+        {"failing": {}},
+        ("failing",),
+        DivergedError("frozen_by: failing is incomplete, so there is no list: frame 4: DivergedError: lost"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", sorted(NO_LIST))
+@pytest.mark.usefixtures("scripted")
+def test_what_makes_no_list_gets_a_line(case, short_config, tmp_path):
+    sections, by, wanted = NO_LIST[case]
+    with pytest.raises(type(wanted), match=re.escape(str(wanted))):
+        compared(short_config, tmp_path, estimators=sections, frozen_by=by)

@@ -1,0 +1,25 @@
+"""Two settings of one estimator in one comparison."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.config import Config
+from vislam.data.source import Dataset
+from vislam.estimator import run
+from vislam.members import members
+
+
+def test_a_section_may_name_its_estimator(short: Dataset, short_config: Config):
+    sections = {"ekf": {}, "plain": {"estimator": "ekf"}, "ungated": {"estimator": "ekf", "gate": False}}
+    config = replace(short_config, estimators=sections)
+    problem, sigma = make_problem(config, short), pixel_sigma(config, short)
+    runs = {
+        name: run(member.build(problem), short.sequence, sigma, name=name)
+        for name, member in members(config).items()
+    }
+    assert list(runs) == ["ekf", "plain", "ungated"]
+    assert np.array_equal(runs["ekf"].world_T_imu, runs["plain"].world_T_imu)
+    assert runs["ekf"].gated.any()
+    assert not runs["ungated"].gated.any()

@@ -1,0 +1,78 @@
+"""What the sections under ``estimators`` say: a run's name, which estimator it is of, and its options."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import fields
+from typing import Any, Literal
+
+from pydantic.dataclasses import dataclass
+
+from vislam import config as configuration
+from vislam import estimator
+from vislam.config import Config
+from vislam.errors import ConfigError
+from vislam.estimator import Build, Estimator, Problem
+from vislam.fields import STRICT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class MemberConfig:
+    """What any section under ``estimators`` may say beside the options of the estimator itself."""
+
+    estimator: str | None = None
+    """Which estimator it is, so that two settings of one can be compared; null: the one it is named for."""
+    observations: Literal["listed", "all"] = "listed"
+    """``listed``: those of the frozen list, where there is one (``frozen_by``). ``all``: all that the repairs
+    left, gated or not as the estimator's own options say."""
+
+
+@plain_dataclass(frozen=True)
+class Member:
+    """One run of a comparison, not yet built.
+
+    Attributes
+    ----------
+    builder : Build
+    options : mapping of str to Any
+        The estimator's own.
+    takes_all : bool
+        Whether it is given all observations where others are given a frozen list.
+    """
+
+    builder: Build
+    options: Mapping[str, Any]
+    takes_all: bool
+
+    def build(self, problem: Problem) -> Estimator:
+        """Build the estimator."""
+        return self.builder(problem, self.options)
+
+
+def members(config: Config) -> dict[str, Member]:
+    """Members of a comparison by the name of their run, in order; a ConfigError names the key."""
+    for key, names in (("frozen_by", config.frozen_by), ("ladder", config.ladder)):
+        for name in names:
+            if name not in config.estimators:
+                raise ConfigError(f"{key}: expected names out of {', '.join(config.estimators)}, got {name}")
+    found = {name: _member(name, section) for name, section in config.estimators.items()}
+    for name, member in found.items():
+        if member.takes_all and not config.frozen_by:
+            raise ConfigError(
+                f"estimators.{name}.observations: all are given anyway unless there is frozen_by"
+            )
+    return found
+
+
+def _member(name: str, section: Mapping[str, Any]) -> Member:
+    if not re.fullmatch(r"\w[\w.+-]*", name):
+        raise ConfigError(
+            f"estimators.{name}: expected letters, digits, '_', '.', '+' and '-', as files are named after it"
+        )
+    shared = {item.name for item in fields(MemberConfig)}
+    own = configuration.parse(
+        MemberConfig, {key: section[key] for key in shared & section.keys()}, at=f"estimators.{name}"
+    )
+    options = {key: value for key, value in section.items() if key not in shared}
+    builder = estimator.find(own.estimator or name, section=name)
+    return Member(builder, options, takes_all=own.observations == "all")
