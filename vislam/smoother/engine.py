@@ -98,13 +98,13 @@ class Engine(Protocol):
 class WholeGraph:
     """iSAM2 over the whole drive.
 
-    The newest pose and twist are eliminated last, the landmarks in view before them: the next frame ties to these
-    two, and a landmark's block stays small.
+    The newest pose and twist are eliminated last, the landmarks in view before them: the next frame ties to
+    these two, and a landmark's block stays small.
     """
 
-    def __init__(self, options: SmootherOptions) -> None:
+    def __init__(self, options: SmootherOptions, factorization: str) -> None:
         self._every = options.relinearize_every
-        parameters = _parameters(options)
+        parameters = _parameters(options, factorization)
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._isam = gtsam.ISAM2(parameters)
@@ -180,8 +180,8 @@ class WholeGraph:
 class FixedLag:
     """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
 
-    def __init__(self, options: SmootherOptions) -> None:
-        parameters = _parameters(options)
+    def __init__(self, options: SmootherOptions, factorization: str) -> None:
+        parameters = _parameters(options, factorization)
         parameters.enableRelinearization = options.relinearize_every > 0
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
@@ -240,14 +240,15 @@ class FixedLag:
         return _solved(self._smoother.marginalCovariance, key)
 
 
-def make(options: SmootherOptions) -> Engine:
-    """Engine that the options ask for."""
-    return WholeGraph(options) if options.lag_s is None else FixedLag(options)
+def make(options: SmootherOptions, *, factorization: str) -> Engine:
+    """Engine that the options ask for; ``factorization`` is qr or cholesky."""
+    kind = WholeGraph if options.lag_s is None else FixedLag
+    return kind(options, factorization)
 
 
-def _parameters(options: SmootherOptions) -> gtsam.ISAM2Params:
+def _parameters(options: SmootherOptions, factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
-    parameters.setFactorization(options.factorization.upper())
+    parameters.setFactorization(factorization.upper())
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
     pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
     parameters.setRelinearizeThreshold(thresholds(pose=pose, depth_share=options.landmark_threshold))
@@ -255,10 +256,10 @@ def _parameters(options: SmootherOptions) -> gtsam.ISAM2Params:
 
 
 def _solved(call: Any, *arguments: Any) -> Any:
-    """Call GTSAM; each of its exceptions arrives as a RuntimeError whose text may name a variable."""
+    """Call GTSAM; its exceptions arrive as plain ones whose text may name a variable."""
     try:
         return call(*arguments)
-    except RuntimeError as error:
+    except (RuntimeError, IndexError) as error:
         text = str(error)
         found = re.search(r"(\d{6,})\s*\(Symbol: ([^)]*)\)", text)
         if found:

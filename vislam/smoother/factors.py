@@ -1,10 +1,10 @@
 """The one builder of factors: every smoother poses the same problem, and it is the filter's.
 
-All factors are GTSAM's own. A factor written in Python is handed a copy of all values each time it is linearised,
-so that a step would take the longer the longer the drive already is.
+All factors are GTSAM's own. A factor written in Python is handed a copy of all values each time it is
+linearised, so that a step would take the longer the longer the drive already is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import gtsam
@@ -14,6 +14,7 @@ import numpy as np
 from vislam.data.sequence import Frame
 from vislam.estimator import Problem
 from vislam.smoother.keys import CLOCK, H, V, W, X
+from vislam.smoother.tracks import View
 from vislam.types import Array
 
 HEIGHT_SIGMA = 0.02
@@ -23,33 +24,34 @@ _UNKNOWN_CLIMB = 5.0
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""
 _SMALLEST_DENSITY = 1e-9
+_MOST_NOISES = 1000
 
 _KERNELS: Mapping[str, tuple[Any, float]] = {
-    # Each with the threshold that keeps 95 % efficiency under Gaussian noise (Zhang, Image and Vision Computing
-    # 15, 1997); the redescending last two at the 99 % point of a stereo observation.
-    "huber": (gtsam.noiseModel.mEstimator.Huber, 1.345),
-    "cauchy": (gtsam.noiseModel.mEstimator.Cauchy, 2.385),
-    "tukey": (gtsam.noiseModel.mEstimator.Tukey, 4.685),
-    "welsch": (gtsam.noiseModel.mEstimator.Welsch, 2.985),
-    "geman_mcclure": (gtsam.noiseModel.mEstimator.GemanMcClure, 3.368),
-    "dcs": (gtsam.noiseModel.mEstimator.DCS, 3.368),
+    # Each with the threshold on the norm of a whitened residual of three numbers at which an estimate of
+    # location is 95 % efficient under Gaussian noise; DCS has that of Geman-McClure, which it resembles.
+    "huber": (gtsam.noiseModel.mEstimator.Huber, 1.628),
+    "cauchy": (gtsam.noiseModel.mEstimator.Cauchy, 2.666),
+    "tukey": (gtsam.noiseModel.mEstimator.Tukey, 5.490),
+    "welsch": (gtsam.noiseModel.mEstimator.Welsch, 3.469),
+    "geman_mcclure": (gtsam.noiseModel.mEstimator.GemanMcClure, 4.337),
+    "dcs": (gtsam.noiseModel.mEstimator.DCS, 4.337),
 }
 
 
 class FactorBuilder:
     """Factors of a :class:`Problem`, in the project's tangent order, which is GTSAM's.
 
-    The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and n
-    of covariance ``dt diag(density^2)``: :func:`vislam.motion.integrate` with the noise told on the twist. GTSAM
-    has it as a part of its white-noise-on-acceleration prior (Anderson and Barfoot, IROS 2015), between a pose and
-    a twist before and after. Its twist after the step is here a variable of its own, ``V(k)``, in no other factor:
-    it takes up the other half of the error whatever that is, and of the first half, whose covariance is
-    ``dt^3 / 3 Qc``, nothing is lost.
+    The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and
+    n of covariance ``dt diag(density^2)``: :func:`vislam.motion.integrate` with the noise told on the twist.
+    GTSAM has it as a part of its white-noise-on-acceleration prior (Anderson and Barfoot, IROS 2015), between
+    a pose and a twist before and after. Its twist after the step is here a variable of its own, ``V(k)``, in
+    no other factor: it takes up the other half of the error whatever that is, and of the first half, whose
+    covariance is ``dt^3 / 3 Qc``, nothing is lost.
 
     As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``.
 
-    With the climb rate in use, the world's z axis is up and the first pose is free to be tilted; else the first pose
-    is the identity.
+    With the climb rate in use, the world's z axis is up and the first pose is free to be tilted; else the
+    first pose is the identity.
 
     Parameters
     ----------
@@ -63,8 +65,8 @@ class FactorBuilder:
     def __init__(self, problem: Problem, *, robust: str = "none", threshold: float | None = None) -> None:
         rig = problem.rig
         self._problem = problem
-        self.calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
-        self.body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
+        self._calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
+        self._body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
         self._kernel = None
         if robust != "none":
             kernel, usual = _KERNELS[robust]
@@ -74,16 +76,14 @@ class FactorBuilder:
         """Whether the clock is a variable."""
 
     def step(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
-        """All factors of a frame but the stereo ones: priors at the first, motion, walk of the bias, climb."""
+        """All factors of a frame but the stereo ones: priors, motion, walk of the bias, climb."""
         k, problem = frame.k, self._problem
         if before is None:
             factors: list[gtsam.NonlinearFactor] = [
                 gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), _sigmas(self._first_pose_sigma()))
             ]
             if problem.climb is not None:
-                factors.append(
-                    gtsam.PriorFactorPoint3(H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4]))
-                )
+                factors.append(gtsam.PriorFactorPoint3(H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4])))
         else:
             end = gtsam.StateData(X(k), V(k), frame.dt)
             density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
@@ -101,16 +101,25 @@ class FactorBuilder:
                     gtsam.BetweenFactorPoint3(H(k - 1), H(k), rise, _sigmas([_UNUSED, _UNUSED, spread]))
                 )
         if problem.climb is not None:
-            factors.append(
-                gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA]))
-            )
+            factors.append(gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA])))
         return factors
 
     def stereo(self, k: int, key: int, *, z: Array, sigma: Array) -> gtsam.NonlinearFactor:
         """Stereo factor of a landmark seen from frame k as ``z (3,)`` = (uL, uR, v), ``sigma (3,)`` [px]."""
         return gtsam.GenericStereoFactor3D(
-            gtsam.StereoPoint2(*z), self._noise(sigma), X(k), key, self.calibration, self.body_P_sensor
+            gtsam.StereoPoint2(*z), self._noise(sigma), X(k), key, self._calibration, self._body_P_sensor
         )
+
+    def smart(self, views: Iterable[View]) -> gtsam.NonlinearFactor:
+        """One factor of all views of a track, in which the landmark is eliminated at each linearisation."""
+        views = list(views)
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, float(np.mean([view.sigma[0] for view in views])))
+        factor = gtsam_unstable.SmartStereoProjectionPoseFactor(
+            noise, gtsam.SmartProjectionParams(), self._body_P_sensor
+        )
+        for view in views:
+            factor.add(gtsam.StereoPoint2(*view.z), X(view.k), self._calibration)
+        return factor
 
     def insert(self, values: gtsam.Values, frame: Frame, *, pose: Array, twist: Array, height: float) -> None:
         """Give the variables of a frame their first values; ``twist (6,)`` is that less its bias."""
@@ -163,6 +172,8 @@ class FactorBuilder:
     def _noise(self, sigma: Array) -> gtsam.noiseModel.Base:
         """Noise of a stereo factor; the same object for the same numbers."""
         which = tuple(sigma.tolist())
+        if len(self._noises) > _MOST_NOISES:
+            self._noises.clear()
         if which not in self._noises:
             noise: gtsam.noiseModel.Base = _sigmas(sigma)
             if self._kernel is not None:
@@ -181,4 +192,5 @@ def _linear(terms: Mapping[int, Array], right: Array, sigma: Array) -> gtsam.Non
     for key, matrix in terms.items():
         values.insert(key, np.zeros(matrix.shape[1]))
     blocks = [part for term in terms.items() for part in term]
-    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(*blocks, right, _sigmas(sigma)), values)
+    linear: Any = gtsam.JacobianFactor
+    return gtsam.LinearContainerFactor(linear(*blocks, right, _sigmas(sigma)), values)

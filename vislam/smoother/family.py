@@ -12,7 +12,7 @@ from vislam.smoother.options import SmootherOptions
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
     "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
-    "fixed_lag": {"lag_s": 3.0},
+    "fixed_lag": {"lag_s": 3.0, "factorization": "qr"},
     "batch": {"final": "batch", "final_iterations": 10},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},
 }

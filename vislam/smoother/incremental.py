@@ -11,6 +11,7 @@ from vislam.errors import DivergedError
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
 from vislam.smoother import engine
+from vislam.smoother.batch import Drive, only
 from vislam.smoother.engine import IndeterminateError
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import CLOCK, W, X
@@ -28,15 +29,16 @@ class SmootherEstimator:
     Only variables seen in the last frames are relinearised on the way: the linearisation of what lies
     behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is.
 
-    A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there, and from
-    these, without the landmarks that broke it, the solver is built anew and the step repeated. The rescue is
-    counted and told.
+    A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there,
+    and from these, without the landmarks that broke it, the solver is built anew and the step repeated. The
+    rescue is counted and told.
     """
 
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self._problem, self._options = problem, options
         self._factors = FactorBuilder(problem, robust=options.robust, threshold=options.robust_threshold)
-        self._engine = engine.make(options)
+        self._factorization = "qr" if options.factorization == "qr" else "cholesky"
+        self._engine = engine.make(options, factorization=self._factorization)
         self._tracks = Tracks()
         self._frames: list[Frame] = []
         self._stamps: list[float] = []
@@ -96,15 +98,16 @@ class SmootherEstimator:
             poses = np.array([*self._left, *(self._engine.pose(X(k)) for k in self._held())])
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
         else:
-            values = self._finish(tracks)
-            poses = np.array([values.atPose3(X(k)).matrix() for k in range(len(self._frames))])
+            drive = Drive(self._problem.rig, self._factors, self._frames, tracks)
+            values = self._finish(drive)
+            tracks = drive.tracks
+            poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
-            if False:
-                asked = [track.key for track in tracks] if options.marginals == "all" else []
-                everything = marginals(
-                    self._graph(tracks), values, [X(k) for k in range(len(poses))], asked
-                )
-                pose_cov, points_cov = everything.poses, everything.points
+            if options.marginals != "none":
+                keys = [X(k) for k in range(len(poses))]
+                pose_cov = drive.covariances(values, keys, size=6)
+            if options.marginals == "all":
+                points_cov = drive.covariances(values, [track.key for track in tracks], size=3)
         return Estimate(
             world_T_imu=poses.reshape(-1, 4, 4),
             pose_cov=pose_cov,
@@ -118,6 +121,11 @@ class SmootherEstimator:
                 **self._counts,
             },
             up=None if self._problem.climb is None else np.array([0.0, 0.0, 1.0]),
+            fused=(
+                np.array([view.k for track in tracks for view in track.views], dtype=np.int64),
+                np.array([track.id for track in tracks for _ in track.views], dtype=np.int64),
+            ),
+            events=tuple(self._events),
         )
 
     def _predict(self, frame: Frame) -> Array:
@@ -163,7 +171,7 @@ class SmootherEstimator:
         owners: Sequence[Track],
         now: list[Track],
     ) -> None:
-        """Update the solver with a frame and read its pose; ``owners`` are the tracks of the stereo factors."""
+        """Update the solver with a frame, whose stereo factors are of ``owners``, and read its pose."""
         remove, self._remove = self._remove, []
         slots = self._engine.update(
             graph,
@@ -219,7 +227,9 @@ class SmootherEstimator:
         points = self._engine.points([track.key for track in seen])
         for track, point in zip(seen, points, strict=True):
             track.point = point
-        self._set_aside([seen[index] for index in np.flatnonzero(~self._plausible(points))])
+        self._set_aside(
+            [track for track, good in zip(seen, self._plausible(points), strict=True) if not good]
+        )
 
     def _plausible(self, points: Array) -> BoolArray:
         """Whether points ``(n, 3)`` are where the newest camera can have seen them."""
@@ -232,20 +242,27 @@ class SmootherEstimator:
         for track in tracks:
             self._remove += track.slots
 
-    def _rescue(
-        self, frame: Frame, owners: Sequence[Track], error: IndeterminateError
-    ) -> None:
-        """Repeat a step, whose last factors are of the tracks ``owners``, without the landmarks that broke it.
+    def _rescue(self, frame: Frame, owners: Sequence[Track], error: IndeterminateError) -> None:
+        """Repeat a step, whose stereo factors are of ``owners``, without what broke it.
 
-        First without those that the error names or that lie where they cannot; then without any in view, and
-        from the causal poses.
+        First with QR, where Cholesky has refused; then without the landmarks that the error names or that lie
+        where they cannot; then without any in view, and from the causal poses.
         """
-        self._counts["rescues"] += 1
-        if self._counts["rescues"] > self._options.max_rescues:
-            raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
         held, point = self._engine.factors(), self._engine.linearization_point()
         for slot, track in enumerate(owners, start=held.size() - len(owners)):
             track.slots.append(slot)
+        if self._options.factorization == "auto" and self._factorization == "cholesky":
+            self._factorization = "qr"
+            try:
+                self._rebuild(frame, held, point, {})
+            except IndeterminateError as again:
+                error = again
+            else:
+                self._events.append(f"frame {frame.k}: {error} to Cholesky; QR from here on")
+                return
+        self._counts["rescues"] += 1
+        if self._counts["rescues"] > self._options.max_rescues:
+            raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
         in_view = [track for track in self._tracks.in_view.values() if point.exists(track.key)]
         where = np.array([point.atPoint3(track.key) for track in in_view]).reshape(-1, 3)
         named = np.array([track.key == error.key for track in in_view], dtype=bool)
@@ -272,17 +289,13 @@ class SmootherEstimator:
         point: gtsam.Values,
         poses: Mapping[int, Array],
     ) -> None:
-        """Build the solver anew from factors it held, less those to be removed; ``poses`` replace those of ``point``."""
+        """Build the solver anew from factors it held, at ``point`` but for ``poses``, and read it."""
         gone = set(self._remove)
         kept = [slot for slot in range(held.size()) if held.exists(slot) and slot not in gone]
         graph = gtsam.NonlinearFactorGraph()
         for slot in kept:
             graph.push_back(held.at(slot))
-        asked = graph.keys()
-        values = gtsam.Values(point)
-        for key in list(values.keys()):
-            if not asked.count(key):
-                values.erase(key)
+        values = only(point, graph)
         for k in self._held():
             if k in poses:
                 values.update(X(k), gtsam.Pose3(poses[k]))
@@ -290,14 +303,16 @@ class SmootherEstimator:
         stamps = {key: self._stamps[k] for k in self._held() for key in self._factors.keys(k)}
         stamps |= {track.key: self._stamps[track.views[-1].k] for track in landmarks}
         stamps |= dict.fromkeys(self._factors.tied(frame.k), frame.stamp)
+        oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
         old = frame.k - self._options.window
         resting = [key for k in self._held() if k <= old for key in self._factors.keys(k)]
         resting += [track.key for track in landmarks if track.views[-1].k <= old]
-        self._engine = engine.make(self._options)
+        self._engine = engine.make(self._options, factorization=self._factorization)
         slots = self._engine.update(
             graph,
             values,
-            stamps={key: stamp for key, stamp in stamps.items() if values.exists(key)},
+            # What leaves a lag with this frame leaves with the next: it cannot in the update it comes with.
+            stamps={key: max(stamp, oldest) for key, stamp in stamps.items() if values.exists(key)},
             newest=self._factors.tied(frame.k),
             resting=resting,
             remove=[],
@@ -320,26 +335,22 @@ class SmootherEstimator:
             f"depth {depth:.1f} m for {measured:.1f} m)"
         )
 
-    def _finish(self, tracks: Sequence[Track]) -> gtsam.Values:
+    def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""
-        values = self._engine.estimate()
-        if self._options.final == "relinearised":
-            for _ in range(self._options.final_iterations):
+        options, values = self._options, self._engine.estimate()
+        if options.final == "relinearised":
+            for _ in range(options.final_iterations):
                 try:
                     self._engine.settle()
                     values = self._engine.estimate()
                 except IndeterminateError:
                     self._counts["final_iterations_undone"] += 1
                     break
+        elif options.final != "as_is":
+            if options.final == "gnc":
+                values, self._counts["outliers"] = drive.graduate(values)
+            found = drive.optimise(values, options)
+            values, self._counts["optimisation_rounds"] = found.values, found.rounds
+            if not found.at_rest:
+                self._events.append(f"the cost did not rest in {found.rounds} rounds of optimisation")
         return values
-
-    def _graph(self, tracks: Sequence[Track]) -> gtsam.NonlinearFactorGraph:
-        """All factors of the drive, anew, with the landmarks of these tracks."""
-        graph = gtsam.NonlinearFactorGraph()
-        for k, frame in enumerate(self._frames):
-            for factor in self._factors.step(frame, self._frames[k - 1] if k else None):
-                graph.add(factor)
-        for track in tracks:
-            for view in track.views:
-                graph.add(self._factors.stereo(view.k, track.key, z=view.z, sigma=view.sigma))
-        return graph

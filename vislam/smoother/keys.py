@@ -1,8 +1,8 @@
 """Keys of the graph.
 
-``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end that
-nothing else asks for (see :mod:`vislam.smoother.factors`), ``H(k)`` the height as the climb rate has led, and
-``CLOCK`` what is left of the clock offset. The letter of a landmark tells its depth.
+``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end
+that nothing else asks for (see :mod:`vislam.smoother.factors`), ``H(k)`` the height as the climb rate has
+led, and ``CLOCK`` what is left of the clock offset. The letter of a landmark tells its depth.
 
 iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that moves by 1 m changes
 nothing; one at 5 m does. So the letter of a landmark is that of its depth, by half octaves, and each
@@ -19,6 +19,7 @@ CLOCK: int = C(0)
 _LETTERS = "ijklmnopqrstu"
 _NEAREST = 4.0
 """Depth up to which the first letter goes [m]."""
+_LINEAR = 1e3
 
 __all__ = ["CLOCK", "H", "V", "W", "X", "landmark", "thresholds"]
 
@@ -33,12 +34,12 @@ def landmark(number: int, depth: float) -> int:
 def thresholds(*, pose: Array, depth_share: float) -> gtsam.ISAM2ThresholdMap:
     """Relinearisation thresholds: poses (6,) [rad, m], landmarks as a share of their depth.
 
-    All else enters the factors linearly, or nearly so over any change that occurs: 1 in its own units.
+    All else enters the factors linearly, or nearly so over any change that occurs.
     """
     table = gtsam.ISAM2ThresholdMap()
     table.insert(("x", pose))
     for letter, size in (("w", 6), ("v", 6), ("h", 3), ("c", 1)):
-        table.insert((letter, np.ones(size) if letter != "h" else np.full(size, 1e3)))
+        table.insert((letter, np.full(size, _LINEAR)))
     for octave, letter in enumerate(_LETTERS):
         table.insert((letter, np.full(3, depth_share * _NEAREST * 2.0 ** (octave / 2.0))))
     return table

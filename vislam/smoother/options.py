@@ -32,9 +32,10 @@ class SmootherOptions:
     """Relinearise a landmark that moved by more than this share of its depth."""
     wildfire_threshold: NonNegative = 0.1
     """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
-    factorization: Literal["qr", "cholesky"] = "qr"
-    """How cliques are eliminated. GTSAM's Cholesky takes about half the time and refuses a clique in which a pivot
-    is less than 1e-7 of its diagonal: a drive on which the place is known 3,000 times worse than the last step."""
+    factorization: Literal["auto", "cholesky", "qr"] = "auto"
+    """How cliques are eliminated. GTSAM's Cholesky takes half the time and refuses a clique in which a pivot
+    is less than 1e-7 of its diagonal, as where the place is known 3,000 times worse than the last step;
+    ``auto`` goes over to QR then."""
     start_clearance: Positive = 5.0
     """A landmark starts when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3
@@ -42,12 +43,14 @@ class SmootherOptions:
     max_waiting_views: Annotated[int, Field(ge=2)] = 30
     """Views that a waiting track keeps; older ones are dropped and counted."""
     final: Literal["as_is", "relinearised", "batch", "gnc"] = "relinearised"
-    """What is done after the last frame: nothing, updates that relinearise everything, Levenberg-Marquardt from
-    there with the landmarks triangulated anew until the cost rests, or the same by graduated non-convexity."""
+    """What is done after the last frame: nothing, updates that relinearise everything, Levenberg-Marquardt
+    with the landmarks triangulated anew until the cost rests, or that without what graduated non-convexity
+    takes for outliers."""
     final_iterations: Annotated[int, Field(ge=1)] = 1
-    """Updates of ``relinearised``; rounds of triangulation and optimisation, at most, of ``batch``."""
+    """Updates of ``relinearised``; else rounds of triangulation and optimisation, at most."""
     factors: Literal["stereo", "smart"] = "stereo"
-    """Factors of ``batch``: one a sight, or one smart factor a track, which holds no landmark."""
+    """Factors of ``batch``: one a sight, or one smart factor a track, which holds no landmark. GTSAM's smart
+    factors have one isotropic noise: rows are taken for as noisy as columns."""
     pose_cov_every: Annotated[int, Field(ge=0)] = 0
     """Frames between two marginal covariances of the newest pose; 0: none."""
     marginals: Literal["none", "poses", "all"] = "none"
@@ -58,8 +61,12 @@ class SmootherOptions:
     def __post_init__(self) -> None:
         """Refuse what has no meaning together."""
         if self.lag_s is not None and self.final in ("batch", "gnc"):
-            raise ValueError(f"final: {self.final} needs the whole drive, lag_s marginalises it; set one to null")
+            raise ValueError(
+                f"final: {self.final} needs the whole drive, lag_s marginalises it; set one to null"
+            )
         if self.factors == "smart" and self.final != "batch":
             raise ValueError("factors: smart ones are for final: batch alone")
+        if self.robust != "none" and (self.factors == "smart" or self.final == "gnc"):
+            raise ValueError("robust: neither smart factors nor gnc can have a kernel; set it to none")
         if self.robust_threshold is not None and self.robust == "none":
             raise ValueError("robust_threshold: there is no robust kernel it could be the threshold of")

@@ -51,8 +51,8 @@ class Track:
 class Tracks:
     """All tracks of a drive, each in one of four places.
 
-    A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not have it,
-    it ends. A track whose landmark went astray is set aside for as long as it lasts.
+    A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not
+    have it, it ends. A track whose landmark went astray is set aside for as long as it lasts.
 
     Attributes
     ----------
@@ -61,8 +61,8 @@ class Tracks:
     ended : list of Track
         Landmarks of the graph that are out of view.
     too_weak, set_aside, views_dropped : int
-        Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting tracks
-        that were let go.
+        Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting
+        tracks that were let go.
     """
 
     def __init__(self) -> None:

@@ -1,0 +1,245 @@
+"""Batch optimisation of a whole drive, from the incremental estimate."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from vislam.data.sequence import Frame
+from vislam.sensors import StereoRig
+from vislam.smoother.factors import FactorBuilder
+from vislam.smoother.keys import X
+from vislam.smoother.options import SmootherOptions
+from vislam.smoother.tracks import Track, locate
+from vislam.types import Array, BoolArray
+
+_AT_REST = 1e-6
+"""A round that lowers the cost by less than this share of it is the last one."""
+_SETTLED = 1e-8
+"""An iteration that lowers the cost by less than this share of it is the last of its round."""
+_MOST_ITERATIONS = 50
+_INNER_ITERATIONS = 3
+_GRADUATION = 1.4
+"""Factor by which each round of graduated non-convexity comes nearer to the truncated cost."""
+_INLIER_PROBABILITY = 0.99
+"""Share of good stereo factors whose residual stays below the truncation."""
+_INLIER_WEIGHT = 0.5
+"""A factor that ends with a smaller weight than this is an outlier."""
+_NO_WEIGHT = 1e-6
+"""Weight that an outlier keeps, so that its landmark keeps some tie."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where an optimisation came to rest.
+
+    Attributes
+    ----------
+    values : gtsam.Values
+    cost : float
+        Half the sum of the squared whitened residuals, under the robust kernel.
+    rounds : int
+        Triangulations and optimisations done.
+    at_rest : bool
+        Whether the last round lowered the cost by next to nothing.
+    """
+
+    values: gtsam.Values
+    cost: float
+    rounds: int
+    at_rest: bool
+
+
+@dataclass
+class Drive:
+    """All that is known of a whole drive, as one problem.
+
+    Attributes
+    ----------
+    rig : StereoRig
+    factors : FactorBuilder
+    frames : sequence of Frame
+    tracks : list of Track
+        Its landmarks; outliers are taken out of them.
+    """
+
+    rig: StereoRig
+    factors: FactorBuilder
+    frames: Sequence[Frame]
+    tracks: list[Track]
+    _motion: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
+
+    def motion(self) -> gtsam.NonlinearFactorGraph:
+        """All factors but the stereo ones; a graph that may be added to."""
+        if self._motion is None:
+            self._motion = gtsam.NonlinearFactorGraph()
+            for k, frame in enumerate(self.frames):
+                for factor in self.factors.step(frame, self.frames[k - 1] if k else None):
+                    self._motion.add(factor)
+        return gtsam.NonlinearFactorGraph(self._motion)
+
+    def graph(self, weights: Array | None = None) -> gtsam.NonlinearFactorGraph:
+        """All factors, the stereo ones last; ``weights`` are put on the squared residuals of these."""
+        graph = self.motion()
+        views = [(track.key, view) for track in self.tracks for view in track.views]
+        scale = np.ones(len(views)) if weights is None else 1.0 / np.sqrt(np.maximum(weights, _NO_WEIGHT))
+        for (key, view), much in zip(views, scale.tolist(), strict=True):
+            sigma = view.sigma if much == 1.0 else much * view.sigma
+            graph.add(self.factors.stereo(view.k, key, z=view.z, sigma=sigma))
+        return graph
+
+    def poses(self, values: gtsam.Values) -> Array:
+        """Poses ``(T, 4, 4)``."""
+        found = [values.atPose3(X(k)).matrix() for k in range(len(self.frames))]
+        return np.array(found).reshape(-1, 4, 4)
+
+    def triangulated(self, values: gtsam.Values, *, clear: float) -> gtsam.Values:
+        """Values whose landmarks are triangulated anew from its poses, where their depth is clear."""
+        found = locate(self.rig, self.tracks, list(self.poses(values)), clear=clear)
+        moved = gtsam.Values(values)
+        for index in np.flatnonzero(found.ready).tolist():
+            moved.update(self.tracks[index].key, found.points_world[index])
+        return moved
+
+    def optimise(self, values: gtsam.Values, options: SmootherOptions) -> Optimum:
+        """Find the most probable drive from an estimate of it, with the factors that the options name."""
+        if options.factors == "stereo":
+            return minimise(
+                self.graph(),
+                values,
+                restart=lambda values: self.triangulated(values, clear=options.start_clearance),
+                rounds=options.final_iterations,
+                factorization=options.factorization,
+            )
+        graph = self.motion()
+        for track in self.tracks:
+            graph.add(self.factors.smart(track.views))
+        start = only(values, graph)
+        found = minimise(graph, start, restart=gtsam.Values, rounds=1, factorization=options.factorization)
+        everything = gtsam.Values(values)
+        everything.update(found.values)
+        located = self.triangulated(everything, clear=options.start_clearance)
+        return Optimum(located, found.cost, found.rounds, at_rest=True)
+
+    def graduate(self, values: gtsam.Values) -> tuple[gtsam.Values, int]:
+        """Take outliers out of the tracks; returns the values of what is left, and how many they were."""
+        count = sum(len(track.views) for track in self.tracks)
+        values, good = graduate(self.graph, values, count=count)
+        first = 0
+        for track in self.tracks:
+            kept = good[first : first + len(track.views)]
+            first += len(track.views)
+            track.views = [view for view, fine in zip(track.views, kept, strict=True) if fine]
+        self.tracks = [track for track in self.tracks if track.views]
+        return only(values, self.graph()), int(count - good.sum())
+
+    def covariances(self, values: gtsam.Values, keys: Sequence[int], *, size: int) -> Array:
+        """Marginal covariances ``(n, size, size)``: of poses on their right, of points in world axes."""
+        solver = gtsam.Marginals(self.graph(), values)
+        return np.array([solver.marginalCovariance(key) for key in keys]).reshape(-1, size, size)
+
+
+def minimise(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    restart: Callable[[gtsam.Values], gtsam.Values],
+    rounds: int,
+    factorization: str,
+) -> Optimum:
+    """Levenberg-Marquardt, again from where ``restart`` moves the best values, until the cost rests.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+    restart : callable
+        Values to start a round from, out of the best so far.
+    rounds : int
+        At most.
+    factorization : str
+        As in :class:`SmootherOptions`.
+    """
+    best, cost, done, at_rest = values, graph.error(values), 0, False
+    while done < rounds and not at_rest:
+        done += 1
+        found = _descend(graph, restart(best), factorization)
+        now = graph.error(found)
+        at_rest = not now < (1.0 - _AT_REST) * cost
+        if now < cost:
+            best, cost = found, now
+    return Optimum(best, cost, done, at_rest)
+
+
+def graduate(
+    weighted: Callable[[Array], gtsam.NonlinearFactorGraph], values: gtsam.Values, *, count: int
+) -> tuple[gtsam.Values, BoolArray]:
+    """Graduated non-convexity with truncated least squares (Yang et al., IEEE RA-L 5, 2020, section IV-B).
+
+    GTSAM's own optimiser copies all factors, which its motion factor does not allow.
+
+    Parameters
+    ----------
+    weighted : callable
+        Graph with the squared residuals of its last ``count`` factors times the given weights ``(count,)``.
+    values : gtsam.Values
+    count : int
+        Number of factors that may be outliers.
+
+    Returns
+    -------
+    values : gtsam.Values
+    good : (count,)
+        Factors that are no outliers.
+    """
+    plain = weighted(np.ones(count))
+    inner = _parameters("cholesky")
+    inner.setMaxIterations(_INNER_ITERATIONS)
+    limit = float(chi2.ppf(_INLIER_PROBABILITY, 3))
+    squared = _squared_residuals(plain, values, count)
+    control = limit / max(2.0 * squared.max(initial=0.0) - limit, limit)
+    weights = np.ones(count)
+    for _ in range(_MOST_ITERATIONS):
+        root = np.sqrt(limit * control * (control + 1.0) / np.maximum(squared, 1e-12)) - control
+        weights = np.where(squared <= limit * control / (control + 1.0), 1.0, np.clip(root, 0.0, 1.0))
+        weights[squared >= limit * (control + 1.0) / control] = 0.0
+        values = gtsam.LevenbergMarquardtOptimizer(weighted(weights), values, inner).optimize()
+        squared = _squared_residuals(plain, values, count)
+        if np.all((weights == 0.0) | (weights == 1.0)):
+            break
+        control *= _GRADUATION
+    return values, weights > _INLIER_WEIGHT
+
+
+def only(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
+    """Those of the values that a factor asks for."""
+    asked, kept = graph.keys(), gtsam.Values(values)
+    for key in list(values.keys()):
+        if not asked.count(key):
+            kept.erase(key)
+    return kept
+
+
+def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, factorization: str) -> gtsam.Values:
+    parameters = _parameters("qr" if factorization == "qr" else "cholesky")
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
+    found = optimizer.optimize()
+    if factorization == "auto" and optimizer.lambda_() > parameters.getlambdaInitial():
+        # Steps were refused, by Cholesky or by the cost.
+        found = gtsam.LevenbergMarquardtOptimizer(graph, found, _parameters("qr")).optimize()
+    return found
+
+
+def _squared_residuals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, count: int) -> Array:
+    first = graph.size() - count
+    return 2.0 * np.array([graph.at(index).error(values) for index in range(first, graph.size())])
+
+
+def _parameters(solver: str) -> gtsam.LevenbergMarquardtParams:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setLinearSolverType(f"MULTIFRONTAL_{solver.upper()}")
+    parameters.setMaxIterations(_MOST_ITERATIONS)
+    parameters.setRelativeErrorTol(_SETTLED)
+    return parameters
