@@ -135,8 +135,8 @@ def test_the_climb_rate_needs_to_be_there(short: Dataset, short_config: Config):
 
 
 def test_who_cannot_take_the_same_information_says_so(short: Dataset, short_config: Config):
-    config = replace(short_config, noise=replace(short_config.noise, clock_sigma=0.01))
-    with pytest.raises(ConfigError, match=r"isam2: has no use for noise\.clock_sigma"):
+    config = replace(short_config, noise=replace(short_config.noise, disparity_offset_sigma_px=0.1))
+    with pytest.raises(ConfigError, match=r"isam2: .*noise\.disparity_offset_sigma_px to 0"):
         find("isam2")(make_problem(config, short), {})
 
 

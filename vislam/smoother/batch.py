@@ -135,10 +135,18 @@ class Drive:
         self.tracks = [track for track in self.tracks if track.views]
         return only(values, self.graph()), int(count - good.sum())
 
-    def covariances(self, values: gtsam.Values, keys: Sequence[int], *, size: int) -> Array:
-        """Marginal covariances ``(n, size, size)``: of poses on their right, of points in world axes."""
-        solver = gtsam.Marginals(self.graph(), values)
-        return np.array([solver.marginalCovariance(key) for key in keys]).reshape(-1, size, size)
+    def marginals(self, values: gtsam.Values) -> Callable[[int], Array]:
+        """Marginal covariance by key: of a pose on its right, of a point in the world's axes."""
+        graph = self.graph()
+        try:
+            return gtsam.Marginals(graph, values).marginalCovariance
+        except RuntimeError:
+            # It knows Cholesky only, which may refuse; a tree by QR does not.
+            parameters = gtsam.ISAM2Params()
+            parameters.setFactorization("QR")
+            tree = gtsam.ISAM2(parameters)
+            tree.update(graph, values)
+            return tree.marginalCovariance
 
 
 def minimise(

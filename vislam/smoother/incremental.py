@@ -104,10 +104,11 @@ class SmootherEstimator:
             poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
             if options.marginals != "none":
-                keys = [X(k) for k in range(len(poses))]
-                pose_cov = drive.covariances(values, keys, size=6)
-            if options.marginals == "all":
-                points_cov = drive.covariances(values, [track.key for track in tracks], size=3)
+                covariance = drive.marginals(values)
+                pose_cov = np.array([covariance(X(k)) for k in range(len(poses))])
+                if options.marginals == "all":
+                    found = [covariance(track.key) for track in tracks]
+                    points_cov = np.array(found).reshape(-1, 3, 3)
         return Estimate(
             world_T_imu=poses.reshape(-1, 4, 4),
             pose_cov=pose_cov,
