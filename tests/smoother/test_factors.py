@@ -149,14 +149,14 @@ def test_jacobians_of_the_motion_factor(rng):
 def test_jacobians_of_the_stereo_factor(rng):
     pose, key = se3.exp(0.3 * rng.normal(size=6)), landmark(0, 8.0)
     point = se3.transform(pose @ RIG.imu_T_cam, np.array([[1.0, -0.5, 8.0]]))[0]
-    z = RIG.project(np.array([1.0, -0.5, 8.0])) + [1.0, -2.0, 0.5]
-    sigma = np.array([0.3, 0.4, 0.2])
+    off, sigma = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.4, 0.2])
+    z = RIG.project(np.array([1.0, -0.5, 8.0])) + off
     factor = FactorBuilder(problem()).stereo(3, key, z=z, sigma=sigma)
     values = gtsam.Values()
     values.insert(X(3), gtsam.Pose3(pose))
     values.insert(key, point)
     check_jacobians(factor, values)
-    assert np.isclose(factor.error(values), 0.5 * np.sum((np.array([1.0, -2.0, 0.5]) / sigma) ** 2))
+    assert np.isclose(factor.error(values), 0.5 * np.sum((off / sigma) ** 2))
 
 
 def test_the_prior_of_the_bias_in_terms_of_the_first_twist(rng):
