@@ -65,7 +65,7 @@ def test_final_marginals_are_those_of_the_whole_information_matrix(name, monkeyp
     run = member(name, config, dataset, marginals="all")
     (graph, values, poses), (_, _, landmarks) = asked
     ordering, start, at = gtsam.Ordering(), {}, 0
-    for key in values.keys():
+    for key in list(values.keys()):
         ordering.push_back(key)
         start[key] = at
         at += len(values.zeroVectors().at(key))
