@@ -1,0 +1,209 @@
+"""The smoother: where landmarks start, what it fuses and says it has, and its options."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from tests.conftest import from_first
+from tests.smoother.drives import BUILD, RIG, drive, gap, member, smoother
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.config import ClimbConfig, Config
+from vislam.data.source import Dataset, open_dataset
+from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.errors import ConfigError
+from vislam.estimator import run
+from vislam.geometry import se3
+from vislam.smoother import engine
+from vislam.smoother.keys import X
+from vislam.smoother.triangulation import triangulate
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    return drive(seed=9, frames=60, tracks_in_view=25)
+
+
+def views_of(points, poses):
+    return np.stack(
+        [RIG.project(se3.transform(RIG.cam_T_imu @ se3.inverse(pose), points)) for pose in poses], axis=1
+    )
+
+
+def test_triangulation_finds_the_point_and_waits_for_the_far_one():
+    points = np.array([[12.0, -1.0, -0.5], [400.0, -20.0, 3.0], [9.0, 2.0, 1.0]])
+    poses = se3.exp(np.array([[0, 0, 0, 0.4 * k, 0, 0] for k in range(4)], dtype=float))
+    z = views_of(points, poses)
+    z[2, 3] += [40.0, 40.0, 0.0]
+    start = triangulate(RIG, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4, 3), 0.5), clear=5.0)
+    assert start.ready.tolist() == [True, False, False]
+    assert np.allclose(start.points_world[0], points[0], atol=1e-6)
+
+
+def test_triangulation_refuses_what_is_no_point():
+    points, poses = np.array([[12.0, -1.0, -0.5]] * 4), np.array([np.eye(4)] * 3)
+    z = views_of(points, poses)
+    z[0, 0] = z[0, 0, [1, 0, 2]]
+    z[1, 0, 1] = z[1, 0, 0] - 1e6
+    far = np.broadcast_to(poses, (4, 3, 4, 4)).copy()
+    far[2, 1:, :3, 3] = [1e9, 0.0, 0.0]
+    start = triangulate(RIG, far, z, np.full((4, 3, 3), 0.5), clear=5.0)
+    assert start.ready.tolist() == [False, False, False, True]
+    assert np.allclose(start.points_world[3], points[3], atol=1e-6)
+
+
+def test_smoothing_beats_filtering_on_the_past():
+    config, dataset = drive(seed=9, frames=120)
+    smoothed = member("isam2", config, dataset)
+
+    def error(poses):
+        return np.sqrt(np.mean((poses - from_first(dataset.reference.pose))[:, :3, 3] ** 2))
+
+    assert smoothed.complete
+    assert error(smoothed.world_T_imu) < 0.05
+    assert error(smoothed.world_T_imu) <= 1.2 * error(smoothed.world_T_imu_causal)
+
+
+@pytest.mark.parametrize("name", BUILD)
+def test_refused_observations_are_not_fused(name, short: Dataset, short_config: Config):
+    problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
+    refused = np.arange(short.sequence.observations) % 7 == 0
+    for estimator in (EkfEstimator(problem, EkfOptions()), BUILD[name](problem, {})):
+        result = run(estimator, short.sequence, sigma, name="any", refused=refused)
+        assert result.complete
+        assert result.used.any()
+        assert not np.any(result.used & refused)
+
+
+@pytest.mark.parametrize("name", BUILD)
+def test_fused_is_used_and_has_a_factor(name, simulated):
+    config, dataset = simulated
+    estimator = BUILD[name](make_problem(config, dataset), {})
+    kept = []
+    finalize = estimator.finalize
+    estimator.finalize = lambda: kept.append(finalize()) or kept[0]
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
+    assert np.array_equal(result.used, dataset.sequence.mask_of(*kept[0].fused))
+    assert len(kept[0].fused[0]) == result.used.sum()
+    assert set(dataset.sequence.track[result.used]) == set(result.track)
+    assert not result.gated.any()
+    if name in ("isam2", "isam2_norelin", "batch"):
+        held = estimator._engine.factors()
+        stereo = [held.at(slot) for slot in range(held.size()) if held.exists(slot)]
+        stereo = [factor for factor in stereo if isinstance(factor, gtsam.GenericStereoFactor3D)]
+        # The factors of what has just gone astray are taken out with the next frame.
+        assert len(stereo) == result.used.sum() + len(estimator._remove)
+
+
+def test_a_track_that_waited_is_fused_with_all_its_views(simulated):
+    config, dataset = simulated
+    early, late = member("isam2", config, dataset), member("isam2", config, dataset, start_clearance=60.0)
+    assert late.counts["observations_used_late"] > early.counts["observations_used_late"]
+    sequence = dataset.sequence
+    for track in late.track:
+        of_track = sequence.track == track
+        assert late.used[of_track].all()
+
+
+@pytest.mark.parametrize("name", ["isam2_norelin", "isam2"])
+def test_without_relinearisation_nothing_is_ever_relinearised(name, simulated, monkeypatch):
+    first = gtsam.Values()
+    update = engine.WholeGraph.update
+
+    def noted(self, graph, values, **rest):
+        first.insert(values)
+        return update(self, graph, values, **rest)
+
+    monkeypatch.setattr(engine.WholeGraph, "update", noted)
+    config, dataset = simulated
+    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
+
+    def moved(**options):
+        first.clear()
+        estimator = BUILD[name](problem, options)
+        assert run(estimator, dataset.sequence, sigma, name=name).complete
+        now = estimator._engine.linearization_point()
+        poses = [
+            np.array([values.atPose3(X(k)).matrix() for k in range(len(dataset.sequence))])
+            for values in (first, now)
+        ]
+        return max(gap(*poses))
+
+    small = {"pose_threshold_rad": 1e-6, "pose_threshold_m": 1e-6}
+    assert moved(relinearize_every=0, **small) < 1e-12
+    assert moved(relinearize_every=1, **small) > 1e-4
+
+
+def test_without_relinearisation_a_lag_is_not_relinearised_either(simulated):
+    config, dataset = simulated
+    small = {"pose_threshold_rad": 1e-6, "pose_threshold_m": 1e-6, "landmark_threshold": 1e-6}
+    never = member("fixed_lag", config, dataset, relinearize_every=0, lag_s=1e3, **small)
+    once = member("isam2_norelin", config, dataset, factorization="qr", wildfire_threshold=0.0)
+    often = member("fixed_lag", config, dataset, relinearize_every=1, lag_s=1e3, **small)
+    assert max(gap(never.world_T_imu_causal, once.world_T_imu_causal)) < 1e-2
+    assert max(gap(never.world_T_imu_causal, often.world_T_imu_causal)) > 1e-3
+
+
+REFUSED = [
+    ("isam2", {"lag_s": 1.0, "final": "batch"}, "final: batch needs the whole drive"),
+    ("batch", {"lag_s": 1.0}, "final: batch needs the whole drive"),
+    ("batch_gnc", {"lag_s": 1.0}, "final: gnc needs the whole drive"),
+    ("isam2", {"factors": "smart"}, "factors: smart"),
+    ("batch_gnc", {"factors": "smart"}, "factors: smart"),
+    ("batch", {"factors": "smart", "robust": "cauchy"}, "robust: neither smart"),
+    ("batch_gnc", {"robust": "cauchy"}, "robust: neither smart"),
+    ("isam2", {"robust_threshold": 2.0}, "robust_threshold"),
+    ("isam2", {"huber": 1.0}, "huber"),
+    ("isam2", {"window": 0}, "window"),
+    ("isam2", {"wildfire_threshold": -1.0}, "wildfire_threshold"),
+    ("fixed_lag", {"lag_s": 0.0}, "lag_s"),
+    ("isam2", {"robust": "student"}, "robust"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "names"), REFUSED)
+def test_options_without_a_meaning_are_refused_by_name(name, options, names, short, short_config):
+    with pytest.raises(ConfigError) as refused:
+        BUILD[name](make_problem(short_config, short), options)
+    assert f"estimators.{name}" in str(refused.value)
+    assert names in str(refused.value)
+
+
+@pytest.mark.parametrize("name", BUILD)
+def test_a_disparity_offset_is_refused(name, short, short_config):
+    problem = replace(make_problem(short_config, short), disparity_offset_sigma=0.3)
+    with pytest.raises(ConfigError, match=rf"estimators\.{name}.*disparity_offset_sigma_px"):
+        BUILD[name](problem, {})
+
+
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "tukey", "welsch", "geman_mcclure", "dcs"])
+def test_every_kernel_runs_and_changes_little_on_good_data(kernel, simulated):
+    plain, robust = member("isam2", *simulated), member("isam2", *simulated, robust=kernel)
+    assert robust.complete
+    angle, distance = gap(plain.world_T_imu, robust.world_T_imu)
+    assert angle < 0.01
+    assert distance < 0.1
+
+
+def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
+    config, dataset = drive(seed=3, frames=120, clock_offset=0.04, gyro=1e-3, velocity=0.01)
+    config = replace(config, noise=replace(config.noise, clock_sigma=0.05))
+    estimator = smoother(make_problem(config, dataset))
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
+    assert result.complete
+    assert abs(estimator._clock - 0.04) < 0.01
+
+
+@pytest.mark.slow
+def test_the_climb_rate_holds_the_height():
+    config, _ = drive(seed=8, frames=100, levelled_velocity=True, hills_m=10.0, gyro=0.01)
+    data = replace(config.data, repair=replace(config.data.repair, levelled_velocity=True))
+    dataset = open_dataset(data, seed=8)
+    climbing = replace(config, noise=replace(config.noise, climb=ClimbConfig()))
+    height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
+    for name in ("isam2", "batch", "fixed_lag"):
+        run = member(name, climbing, dataset)
+        assert run.complete
+        off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
+        assert off < 0.3
