@@ -234,13 +234,13 @@ class SmootherEstimator:
         for track, point in zip(seen, points, strict=True):
             track.point = point
         self._set_aside(
-            [track for track, good in zip(seen, self._plausible(points), strict=True) if not good]
+            [track for track, good in zip(seen, self._plausible(points, self._poses[-1]), strict=True) if not good]
         )
 
-    def _plausible(self, points: Array) -> BoolArray:
-        """Whether points ``(n, 3)`` are where the newest camera can have seen them."""
+    def _plausible(self, points: Array, world_T_imu: Array) -> BoolArray:
+        """Whether points ``(..., n, 3)`` are where the camera can have seen them from poses ``(..., 4, 4)``."""
         rig = self._problem.rig
-        depth = se3.transform(rig.cam_T_imu @ se3.inverse(self._poses[-1]), points)[:, 2]
+        depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
         return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
 
     def _set_aside(self, tracks: Sequence[Track]) -> None:
@@ -268,8 +268,7 @@ class SmootherEstimator:
         if self._counts["rescues"] > self._options.max_rescues:
             raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
         in_view = [track for track in self._tracks.in_view.values() if point.exists(track.key)]
-        where = np.array([point.atPoint3(track.key) for track in in_view]).reshape(-1, 3)
-        suspects = [in_view[index] for index in np.flatnonzero(~self._plausible(where))]
+        suspects = self._strange(point)
         known = {track.key for track in suspects}
         suspects += [track for track in self._named(error) if track.key not in known]
         poses: dict[int, Array] = {}
@@ -294,6 +293,20 @@ class SmootherEstimator:
                 raise DivergedError(f"{error}, also without any landmark in view")
             suspects = [track for track in in_view if track.id in self._tracks.in_view]
             poses = dict(enumerate(self._poses))
+
+    def _strange(self, point: gtsam.Values) -> list[Track]:
+        """Landmarks of the solver that lie where who saw them last cannot have seen them."""
+        held = [track for track in self._tracks.landmarks if point.exists(track.key)]
+        if not held:
+            return []
+        seen_from = [X(track.views[-1].k) for track in held]
+        poses = [
+            point.atPose3(key).matrix() if point.exists(key) else self._poses[track.views[-1].k]
+            for key, track in zip(seen_from, held, strict=True)
+        ]
+        where = np.array([point.atPoint3(track.key) for track in held])
+        good = self._plausible(where[:, None], np.array(poses))[:, 0]
+        return [held[index] for index in np.flatnonzero(~good)]
 
     def _named(self, error: IndeterminateError) -> list[Track]:
         """Landmark that an error names, if it does; it may be out of view by now."""
