@@ -1,4 +1,4 @@
-"""The smoother: its factor's Jacobians, where landmarks start, and that it agrees with the filter."""
+"""The smoother: where landmarks start, what it fuses and says it has, and its options."""
 
 from dataclasses import replace
 
@@ -7,94 +7,55 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
+from tests.smoother.drives import BUILD, RIG, drive, gap, member, smoother
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config, DataConfig
+from vislam.config import ClimbConfig, Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.errors import DivergedError
+from vislam.errors import ConfigError
 from vislam.estimator import run
 from vislam.geometry import se3
-from vislam.repair import RepairConfig
-from vislam.repair.pixels import Disparity
-from vislam.repair.tracks import Interruptions
-from vislam.sensors import StereoRig
-from vislam.simulation import SimulationConfig
-from vislam.smoother import Isam2Estimator, Isam2Options
-from vislam.smoother.factors import twist_factor
-from vislam.smoother.keys import B, X
+from vislam.smoother import engine
+from vislam.smoother.keys import X
 from vislam.smoother.triangulation import triangulate
 
 
-def test_twist_factor_jacobians(rng):
-    factor = twist_factor(X(0), B(0), X(1), twist=rng.normal(size=6), dt=0.1, cov=np.eye(6))
-    poses, bias = [gtsam.Pose3(se3.exp(rng.normal(size=6))) for _ in range(2)], 0.1 * rng.normal(size=6)
-
-    def values(x0, b, x1):
-        out = gtsam.Values()
-        out.insert(X(0), poses[0].retract(x0))
-        out.insert(B(0), bias + b)
-        out.insert(X(1), poses[1].retract(x1))
-        return out
-
-    jacobian, _ = factor.linearize(values(*np.zeros((3, 6)))).jacobian()
-    for column, error in enumerate(1e-6 * np.eye(18)):
-        there = factor.unwhitenedError(values(*error.reshape(3, 6)))
-        back = factor.unwhitenedError(values(*-error.reshape(3, 6)))
-        assert np.allclose(jacobian[:, column], (there - back) / 2e-6, atol=1e-7)
+@pytest.fixture(scope="module")
+def simulated():
+    return drive(seed=9, frames=60, tracks_in_view=25)
 
 
-def test_triangulation_finds_the_point_and_waits_for_the_far_one(rng):
-    rig = StereoRig(500.0, 500.0, 320.0, 200.0, 0.5, np.eye(4))
-    points = np.array([[1.0, 0.5, 12.0], [20.0, 3.0, 400.0], [-2.0, 1.0, 8.0]])
-    poses = se3.exp(np.array([[0, 0, 0, 0, 0, 0.4 * k] for k in range(4)], dtype=float))
-    z = np.stack([rig.project(se3.transform(se3.inverse(pose), points)) for pose in poses], axis=1)
+def views_of(points, poses):
+    return np.stack(
+        [RIG.project(se3.transform(RIG.cam_T_imu @ se3.inverse(pose), points)) for pose in poses], axis=1
+    )
+
+
+def test_triangulation_finds_the_point_and_waits_for_the_far_one():
+    points = np.array([[12.0, -1.0, -0.5], [400.0, -20.0, 3.0], [9.0, 2.0, 1.0]])
+    poses = se3.exp(np.array([[0, 0, 0, 0.4 * k, 0, 0] for k in range(4)], dtype=float))
+    z = views_of(points, poses)
     z[2, 3] += [40.0, 40.0, 0.0]
-    start = triangulate(rig, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4, 3), 0.5), clear=5.0)
+    start = triangulate(RIG, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4, 3), 0.5), clear=5.0)
     assert start.ready.tolist() == [True, False, False]
     assert np.allclose(start.points_world[0], points[0], atol=1e-6)
 
 
-def test_it_agrees_with_the_filter_where_all_is_nearly_linear(short_config: Config):
-    nearly = SimulationConfig(
-        frames=25,
-        path="straight",
-        tracks_in_view=25,
-        depth_max=20.0,
-        pixel_sigma_px=0.05,
-        gyro_sigma=1e-4,
-        velocity_sigma=1e-3,
-    )
-    root = np.sqrt(nearly.period)
-    noise = replace(
-        short_config.noise,
-        pixel_sigma_px=0.05,
-        drift_px=0.0,
-        match_px=0.0,
-        twist_density=(1e-4 * root,) * 3 + (1e-3 * root,) * 3,
-    )
-    config = replace(
-        short_config, noise=noise, data=DataConfig(simulation=nearly, repair=RepairConfig(consensus=None))
-    )
-    dataset = open_dataset(config.data, seed=6)
-    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
-    filtered = run(EkfEstimator(problem, EkfOptions(gate=False)), dataset.sequence, sigma, name="ekf")
-    options = Isam2Options(huber=None, final_iterations=3)
-    smoothed = run(Isam2Estimator(problem, options), dataset.sequence, sigma, name="isam2")
-    assert filtered.complete
-    assert smoothed.complete
-    gap = se3.local(filtered.world_T_imu[-1], smoothed.world_T_imu[-1])
-    claimed = np.sqrt(np.diagonal(filtered.pose_cov[-1]))
-    # The last pose of filter and smoother is the same posterior; a fifth of a sigma is linearisation.
-    assert np.all(np.abs(gap) < 0.2 * claimed)
+def test_triangulation_refuses_what_is_no_point():
+    points, poses = np.array([[12.0, -1.0, -0.5]] * 4), np.array([np.eye(4)] * 3)
+    z = views_of(points, poses)
+    z[0, 0] = z[0, 0, [1, 0, 2]]
+    z[1, 0, 1] = z[1, 0, 0] - 1e6
+    far = np.broadcast_to(poses, (4, 3, 4, 4)).copy()
+    far[2, 1:, :3, 3] = [1e9, 0.0, 0.0]
+    start = triangulate(RIG, far, z, np.full((4, 3, 3), 0.5), clear=5.0)
+    assert start.ready.tolist() == [False, False, False, True]
+    assert np.allclose(start.points_world[3], points[3], atol=1e-6)
 
 
-def test_smoothing_beats_filtering_on_the_past(short_config: Config):
-    config = replace(
-        short_config, data=DataConfig(simulation=SimulationConfig(frames=120, pixel_sigma_px=0.3))
-    )
-    dataset = open_dataset(config.data, seed=9)
-    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
-    smoothed = run(Isam2Estimator(problem, Isam2Options()), dataset.sequence, sigma, name="isam2")
+def test_smoothing_beats_filtering_on_the_past():
+    config, dataset = drive(seed=9, frames=120)
+    smoothed = member("isam2", config, dataset)
 
     def error(poses):
         return np.sqrt(np.mean((poses - from_first(dataset.reference.pose))[:, :3, 3] ** 2))
@@ -104,79 +65,145 @@ def test_smoothing_beats_filtering_on_the_past(short_config: Config):
     assert error(smoothed.world_T_imu) <= 1.2 * error(smoothed.world_T_imu_causal)
 
 
-def test_refused_observations_are_not_fused(short: Dataset, short_config: Config):
+@pytest.mark.parametrize("name", BUILD)
+def test_refused_observations_are_not_fused(name, short: Dataset, short_config: Config):
     problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
     refused = np.arange(short.sequence.observations) % 7 == 0
-    for estimator in (EkfEstimator(problem, EkfOptions()), Isam2Estimator(problem, Isam2Options())):
+    for estimator in (EkfEstimator(problem, EkfOptions()), BUILD[name](problem, {})):
         result = run(estimator, short.sequence, sigma, name="any", refused=refused)
         assert result.complete
         assert result.used.any()
         assert not np.any(result.used & refused)
 
 
-def harsh(short_config: Config, *, frames=80, **faults):
-    simulation = SimulationConfig(frames=frames, tracks_in_view=30, **faults)
-    repairs = RepairConfig(consensus=None, disparity=Disparity(row_difference_px=200.0))
-    data = DataConfig(simulation=simulation, repair=repairs)
-    config = replace(short_config, data=data)
-    return config, open_dataset(config.data, seed=8)
+@pytest.mark.parametrize("name", BUILD)
+def test_fused_is_used_and_has_a_factor(name, simulated):
+    config, dataset = simulated
+    estimator = BUILD[name](make_problem(config, dataset), {})
+    kept = []
+    finalize = estimator.finalize
+    estimator.finalize = lambda: kept.append(finalize()) or kept[0]
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
+    assert np.array_equal(result.used, dataset.sequence.mask_of(*kept[0].fused))
+    assert len(kept[0].fused[0]) == result.used.sum()
+    assert set(dataset.sequence.track[result.used]) == set(result.track)
+    assert not result.gated.any()
+    if name in ("isam2", "isam2_norelin", "batch"):
+        held = estimator._engine.factors()
+        stereo = [held.at(slot) for slot in range(held.size()) if held.exists(slot)]
+        stereo = [factor for factor in stereo if isinstance(factor, gtsam.GenericStereoFactor3D)]
+        # The factors of what has just gone astray are taken out with the next frame.
+        assert len(stereo) == result.used.sum() + len(estimator._remove)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.4])
-def test_wrong_associations_do_not_end_the_run(short_config: Config, share):
-    config, dataset = harsh(short_config, outlier_probability=share)
-    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
+def test_a_track_that_waited_is_fused_with_all_its_views(simulated):
+    config, dataset = simulated
+    early, late = member("isam2", config, dataset), member("isam2", config, dataset, start_clearance=60.0)
+    assert late.counts["observations_used_late"] > early.counts["observations_used_late"]
+    sequence = dataset.sequence
+    for track in late.track:
+        of_track = sequence.track == track
+        assert late.used[of_track].all()
+
+
+@pytest.mark.parametrize("name", ["isam2_norelin", "isam2"])
+def test_without_relinearisation_nothing_is_ever_relinearised(name, simulated, monkeypatch):
+    first = gtsam.Values()
+    update = engine.WholeGraph.update
+
+    def noted(self, graph, values, **rest):
+        first.insert(values)
+        return update(self, graph, values, **rest)
+
+    monkeypatch.setattr(engine.WholeGraph, "update", noted)
+    config, dataset = simulated
+    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
+
+    def moved(**options):
+        first.clear()
+        estimator = BUILD[name](problem, options)
+        assert run(estimator, dataset.sequence, sigma, name=name).complete
+        now = estimator._engine.linearization_point()
+        poses = [
+            np.array([values.atPose3(X(k)).matrix() for k in range(len(dataset.sequence))])
+            for values in (first, now)
+        ]
+        return max(gap(*poses))
+
+    small = {"pose_threshold_rad": 1e-6, "pose_threshold_m": 1e-6}
+    assert moved(relinearize_every=0, **small) < 1e-12
+    assert moved(relinearize_every=1, **small) > 1e-4
+
+
+def test_without_relinearisation_a_lag_is_not_relinearised_either(simulated):
+    config, dataset = simulated
+    small = {"pose_threshold_rad": 1e-6, "pose_threshold_m": 1e-6, "landmark_threshold": 1e-6}
+    never = member("fixed_lag", config, dataset, relinearize_every=0, lag_s=1e3, **small)
+    once = member("isam2_norelin", config, dataset, factorization="qr", wildfire_threshold=0.0)
+    often = member("fixed_lag", config, dataset, relinearize_every=1, lag_s=1e3, **small)
+    assert max(gap(never.world_T_imu_causal, once.world_T_imu_causal)) < 1e-2
+    assert max(gap(never.world_T_imu_causal, often.world_T_imu_causal)) > 1e-3
+
+
+REFUSED = [
+    ("isam2", {"lag_s": 1.0, "final": "batch"}, "final: batch needs the whole drive"),
+    ("batch", {"lag_s": 1.0}, "final: batch needs the whole drive"),
+    ("batch_gnc", {"lag_s": 1.0}, "final: gnc needs the whole drive"),
+    ("isam2", {"factors": "smart"}, "factors: smart"),
+    ("batch_gnc", {"factors": "smart"}, "factors: smart"),
+    ("batch", {"factors": "smart", "robust": "cauchy"}, "robust: neither smart"),
+    ("batch_gnc", {"robust": "cauchy"}, "robust: neither smart"),
+    ("isam2", {"robust_threshold": 2.0}, "robust_threshold"),
+    ("isam2", {"huber": 1.0}, "huber"),
+    ("isam2", {"window": 0}, "window"),
+    ("isam2", {"wildfire_threshold": -1.0}, "wildfire_threshold"),
+    ("fixed_lag", {"lag_s": 0.0}, "lag_s"),
+    ("isam2", {"robust": "student"}, "robust"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "names"), REFUSED)
+def test_options_without_a_meaning_are_refused_by_name(name, options, names, short, short_config):
+    with pytest.raises(ConfigError) as refused:
+        BUILD[name](make_problem(short_config, short), options)
+    assert f"estimators.{name}" in str(refused.value)
+    assert names in str(refused.value)
+
+
+@pytest.mark.parametrize("name", BUILD)
+def test_a_disparity_offset_is_refused(name, short, short_config):
+    problem = replace(make_problem(short_config, short), disparity_offset_sigma=0.3)
+    with pytest.raises(ConfigError, match=rf"estimators\.{name}.*disparity_offset_sigma_px"):
+        BUILD[name](problem, {})
+
+
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "tukey", "welsch", "geman_mcclure", "dcs"])
+def test_every_kernel_runs_and_changes_little_on_good_data(kernel, simulated):
+    plain, robust = member("isam2", *simulated), member("isam2", *simulated, robust=kernel)
+    assert robust.complete
+    angle, distance = gap(plain.world_T_imu, robust.world_T_imu)
+    assert angle < 0.01
+    assert distance < 0.1
+
+
+def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
+    config, dataset = drive(seed=3, frames=120, clock_offset=0.04, gyro=1e-3, velocity=0.01)
+    config = replace(config, noise=replace(config.noise, clock_sigma=0.05))
+    estimator = smoother(make_problem(config, dataset))
     result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
     assert result.complete
-    assert np.all(np.isfinite(result.world_T_imu))
+    assert abs(estimator._clock - 0.04) < 0.01
 
 
-def test_twenty_frames_without_tracks_are_bridged(short_config: Config):
-    config, dataset = harsh(short_config, pixel_sigma_px=0.3)
-    frame = dataset.sequence.frame_of
-    dark = dataset.sequence.select((frame < 30) | (frame >= 50))
-    sigma = np.full((dark.observations, 3), 0.3)
-    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
-    result = run(estimator, Interruptions().apply(dark), sigma, name="isam2")
-    assert result.complete
-    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
-    assert np.abs(error).max() < 1.0
-
-
-def test_a_step_that_cannot_be_solved_is_rescued_and_counted(short_config: Config, monkeypatch):
-    config, dataset = harsh(short_config, frames=40, pixel_sigma_px=0.3)
-    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options(checkpoint_frames=10))
-    solve = Isam2Estimator._solve
-    failed = []
-
-    def fails_once(self, graph, values, parameters, where):
-        if where == "frame 26" and not failed:
-            failed.append(where)
-            raise DivergedError("planted")
-        return solve(self, graph, values, parameters, where)
-
-    monkeypatch.setattr(Isam2Estimator, "_solve", fails_once)
-    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
-    assert result.complete
-    assert result.counts["rescues"] == 1
-    assert result.counts["frames_without_camera"] == 7
-    assert len(result.world_T_imu) == 40
-    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
-    assert np.abs(error).max() < 0.5
-
-
-def test_a_step_that_never_can_be_solved_fails_and_keeps_the_rest(short_config: Config, monkeypatch):
-    config, dataset = harsh(short_config, frames=40)
-    solve = Isam2Estimator._solve
-
-    def fails(self, graph, values, parameters, where):
-        if where == "frame 26":
-            raise DivergedError("planted at frame 26")
-        return solve(self, graph, values, parameters, where)
-
-    monkeypatch.setattr(Isam2Estimator, "_solve", fails)
-    estimator = Isam2Estimator(make_problem(config, dataset), Isam2Options())
-    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
-    assert not result.complete
-    assert "planted at frame 26" in result.error
-    assert len(result.world_T_imu) == 26
+@pytest.mark.slow
+def test_the_climb_rate_holds_the_height():
+    config, _ = drive(seed=8, frames=100, levelled_velocity=True, hills_m=10.0, gyro=0.01)
+    data = replace(config.data, repair=replace(config.data.repair, levelled_velocity=True))
+    dataset = open_dataset(data, seed=8)
+    climbing = replace(config, noise=replace(config.noise, climb=ClimbConfig()))
+    height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
+    for name in ("isam2", "batch", "fixed_lag"):
+        run = member(name, climbing, dataset)
+        assert run.complete
+        off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
+        assert off < 0.3

@@ -97,6 +97,8 @@ class Drive:
 
     def triangulated(self, values: gtsam.Values, *, clear: float) -> gtsam.Values:
         """Values whose landmarks are triangulated anew from its poses, where their depth is clear."""
+        if not self.tracks:
+            return values
         found = locate(self.rig, self.tracks, list(self.poses(values)), clear=clear)
         moved = gtsam.Values(values)
         for index in np.flatnonzero(found.ready).tolist():

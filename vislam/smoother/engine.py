@@ -138,9 +138,9 @@ class WholeGraph:
         return list(self._solve(graph, values, parameters).getNewFactorsIndices())
 
     def settle(self) -> None:
-        """Relinearise everything once."""
+        """Relinearise everything once, unless nothing is to be, and solve it whole."""
         everything = gtsam.ISAM2UpdateParams()
-        everything.force_relinearize = True
+        everything.force_relinearize = self._every > 0
         everything.forceFullSolve = True
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
 

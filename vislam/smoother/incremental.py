@@ -21,6 +21,8 @@ from vislam.types import Array, BoolArray
 
 _NEAREST = 1.0
 """A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
+_MOST_SUSPECTS = 20
+"""A rescue that has set aside this many landmarks looks for no more of those that errors name."""
 
 
 class SmootherEstimator:
@@ -73,7 +75,7 @@ class SmootherEstimator:
         try:
             self._solve(frame, graph, values, owners, now)
         except IndeterminateError as error:
-            self._rescue(frame, owners, error)
+            self._rescue(frame, error)
         seen = [track for track in now if track.id in self._tracks.in_view]
         self._find_astray(seen)
         every = self._options.pose_cov_every
@@ -174,16 +176,20 @@ class SmootherEstimator:
     ) -> None:
         """Update the solver with a frame, whose stereo factors are of ``owners``, and read its pose."""
         remove, self._remove = self._remove, []
-        slots = self._engine.update(
-            graph,
-            values,
-            stamps=self._stamps_of(frame, now),
-            newest=self._factors.tied(frame.k),
-            resting=self._resting(now),
-            remove=remove,
-        )
-        for track, slot in zip(owners, slots[len(slots) - len(owners) :], strict=True):
-            track.slots.append(slot)
+        try:
+            slots = self._engine.update(
+                graph,
+                values,
+                stamps=self._stamps_of(frame, now),
+                newest=self._factors.tied(frame.k),
+                resting=self._resting(now),
+                remove=remove,
+            )
+        except IndeterminateError:
+            # They are in the solver all the same, behind all others.
+            _place(owners, range(self._engine.factors().size()))
+            raise
+        _place(owners, slots)
         self._read(frame)
 
     def _read(self, frame: Frame) -> None:
@@ -229,13 +235,13 @@ class SmootherEstimator:
         for track, point in zip(seen, points, strict=True):
             track.point = point
         self._set_aside(
-            [track for track, good in zip(seen, self._plausible(points), strict=True) if not good]
+            [track for track, good in zip(seen, self._plausible(points, self._poses[-1]), strict=True) if not good]
         )
 
-    def _plausible(self, points: Array) -> BoolArray:
-        """Whether points ``(n, 3)`` are where the newest camera can have seen them."""
+    def _plausible(self, points: Array, world_T_imu: Array) -> BoolArray:
+        """Whether points ``(..., n, 3)`` are where the camera can have seen them from poses ``(..., 4, 4)``."""
         rig = self._problem.rig
-        depth = se3.transform(rig.cam_T_imu @ se3.inverse(self._poses[-1]), points)[:, 2]
+        depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
         return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
 
     def _set_aside(self, tracks: Sequence[Track]) -> None:
@@ -243,45 +249,69 @@ class SmootherEstimator:
         for track in tracks:
             self._remove += track.slots
 
-    def _rescue(self, frame: Frame, owners: Sequence[Track], error: IndeterminateError) -> None:
-        """Repeat a step, whose stereo factors are of ``owners``, without what broke it.
+    def _rescue(self, frame: Frame, error: IndeterminateError) -> None:
+        """Repeat a step without what broke it.
 
-        First with QR, where Cholesky has refused; then without the landmarks that the error names or that lie
-        where they cannot; then without any in view, and from the causal poses.
+        First with QR, where Cholesky has refused; then without the landmarks that lie where they cannot or
+        that the error names, or that of the next try; then without any in view, and from the causal poses.
         """
         held, point = self._engine.factors(), self._engine.linearization_point()
-        for slot, track in enumerate(owners, start=held.size() - len(owners)):
-            track.slots.append(slot)
         if self._options.factorization == "auto" and self._factorization == "cholesky":
             self._factorization = "qr"
+            self._events.append(f"frame {frame.k}: {error} to Cholesky; QR from here on")
             try:
                 self._rebuild(frame, held, point, {})
             except IndeterminateError as again:
                 error = again
             else:
-                self._events.append(f"frame {frame.k}: {error} to Cholesky; QR from here on")
                 return
         self._counts["rescues"] += 1
         if self._counts["rescues"] > self._options.max_rescues:
             raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
         in_view = [track for track in self._tracks.in_view.values() if point.exists(track.key)]
-        where = np.array([point.atPoint3(track.key) for track in in_view]).reshape(-1, 3)
-        named = np.array([track.key == error.key for track in in_view], dtype=bool)
-        strange = [in_view[index] for index in np.flatnonzero(~self._plausible(where) | named)]
-        for suspects, poses in ((strange, {}), (in_view, dict(enumerate(self._poses)))):
-            if not suspects and not poses:
-                continue
-            found = ", ".join(self._describe(track, point) for track in suspects[:3])
-            self._set_aside([track for track in suspects if track.id in self._tracks.in_view])
-            try:
-                self._rebuild(frame, held, point, poses)
-            except IndeterminateError:
-                continue
-            self._events.append(
-                f"frame {frame.k}: {error}; {len(suspects)} landmarks set aside, as {found or 'none'}"
-            )
-            return
-        raise DivergedError(f"{error}, also without any landmark in view")
+        suspects = self._strange(point)
+        known = {track.key for track in suspects}
+        suspects += [track for track in self._named(error) if track.key not in known]
+        poses: dict[int, Array] = {}
+        gone: list[Track] = []
+        while True:
+            if suspects or poses:
+                found = ", ".join(self._describe(track, point) for track in [*gone, *suspects][:3])
+                self._set_aside(suspects)
+                gone += suspects
+                try:
+                    self._rebuild(frame, held, point, poses)
+                except IndeterminateError as again:
+                    suspects = self._named(again) if len(gone) < _MOST_SUSPECTS else []
+                    if suspects:
+                        continue
+                else:
+                    self._events.append(
+                        f"frame {frame.k}: {error}; {len(gone)} landmarks set aside, as {found or 'none'}"
+                    )
+                    return
+            if poses:
+                raise DivergedError(f"{error}, also without any landmark in view")
+            suspects = [track for track in in_view if track.id in self._tracks.in_view]
+            poses = dict(enumerate(self._poses))
+
+    def _strange(self, point: gtsam.Values) -> list[Track]:
+        """Landmarks of the solver that lie where who saw them last cannot have seen them."""
+        held = [track for track in self._tracks.landmarks if point.exists(track.key)]
+        if not held:
+            return []
+        seen_from = [X(track.views[-1].k) for track in held]
+        poses = [
+            point.atPose3(key).matrix() if point.exists(key) else self._poses[track.views[-1].k]
+            for key, track in zip(seen_from, held, strict=True)
+        ]
+        where = np.array([point.atPoint3(track.key) for track in held])
+        good = self._plausible(where[:, None], np.array(poses))[:, 0]
+        return [held[index] for index in np.flatnonzero(~good)]
+
+    def _named(self, error: IndeterminateError) -> list[Track]:
+        """Landmark that an error names, if it does; it may be out of view by now."""
+        return [track for track in self._tracks.landmarks if track.key == error.key]
 
     def _rebuild(
         self,
@@ -305,6 +335,8 @@ class SmootherEstimator:
         stamps |= {track.key: self._stamps[track.views[-1].k] for track in landmarks}
         stamps |= dict.fromkeys(self._factors.tied(frame.k), frame.stamp)
         oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
+        # What was set aside may be left in the factors of what has been marginalised.
+        stamps = dict.fromkeys(values.keys(), oldest) | stamps
         old = frame.k - self._options.window
         resting = [key for k in self._held() if k <= old for key in self._factors.keys(k)]
         resting += [track.key for track in landmarks if track.views[-1].k <= old]
@@ -318,11 +350,12 @@ class SmootherEstimator:
             resting=resting,
             remove=[],
         )
+        self._read(frame)
+        # Not before all went well: else the next try has the factors of this one.
         moved = dict(zip(kept, slots, strict=True))
-        for track in self._tracks.in_view.values():
+        for track in landmarks:
             track.slots = [moved[slot] for slot in track.slots if slot in moved]
         self._remove = []
-        self._read(frame)
 
     def _describe(self, track: Track, point: gtsam.Values) -> str:
         """Say of a landmark what tells why it broke a step."""
@@ -355,3 +388,9 @@ class SmootherEstimator:
             if not found.at_rest:
                 self._events.append(f"the cost did not rest in {found.rounds} rounds of optimisation")
         return values
+
+
+def _place(owners: Sequence[Track], slots: Sequence[int]) -> None:
+    """Note where stereo factors are: the last of the slots, in the order of their tracks."""
+    for track, slot in zip(owners, slots[len(slots) - len(owners) :], strict=True):
+        track.slots.append(slot)

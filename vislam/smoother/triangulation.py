@@ -16,6 +16,8 @@ from vislam.types import Array, BoolArray
 _ITERATIONS = 6
 _NEAREST = 1.0
 _SMALLEST_DISPARITY = 0.5
+_SINGULAR = 1e-12
+"""Determinant of an information matrix that cannot be told from zero, as a share of that of its diagonal."""
 _WORST_RESIDUAL = 4.0
 """A track with a residual beyond this many standard deviations is not one static point."""
 
@@ -65,6 +67,8 @@ def triangulate(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, c
         residual, jacobian, depth = _linearise(rig, view_T_first, z, mean)
         ready &= np.all((depth > _NEAREST) | ~seen, axis=1)
         information = np.einsum("nvia,nvi,nvib->nab", jacobian, weight, jacobian)
+        ready &= np.linalg.det(information) > _SINGULAR * np.prod(np.einsum("naa->na", information), axis=1)
+        information[~ready] = np.eye(3)
         gradient = np.einsum("nvia,nvi,nvi->na", jacobian, weight, residual)
         step = np.linalg.solve(information, gradient[..., None])[..., 0]
         mean = mean + np.where(ready[:, None], step, 0.0)

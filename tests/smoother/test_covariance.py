@@ -1,0 +1,85 @@
+"""Covariances: of the newest pose, of all poses and landmarks in the end."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from tests.smoother.drives import drive, exact, filtered, member
+from vislam.sensors import noise
+from vislam.smoother.batch import Drive
+from vislam.smoother.keys import X
+
+
+def relative(found, wanted):
+    """Largest difference of covariances ``(..., d, d)`` in standard deviations of the second."""
+    sigma = np.sqrt(np.diagonal(wanted, axis1=-2, axis2=-1))
+    scale = sigma[..., :, None] * sigma[..., None, :]
+    return np.abs((found - wanted) / scale).max()
+
+
+@pytest.mark.parametrize("name", ["isam2", "isam2_norelin", "batch"])
+def test_without_errors_the_newest_poses_covariance_is_the_filters(name, monkeypatch):
+    # The filter never takes the error of a match for zero, or the landmark's fourth number had no variance.
+    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    config, dataset = exact(seed=3, frames=30, tracks_in_view=25, depth_max=20.0)
+    ekf = filtered(config, dataset)
+    smoothed = member(name, config, dataset, pose_cov_every=1)
+    assert smoothed.complete
+    assert relative(smoothed.pose_cov_causal[0], ekf.pose_cov_causal[0]) < 1e-6
+    # A track waits for its second view, and one seen only once tells nothing about a pose.
+    assert relative(smoothed.pose_cov_causal, ekf.pose_cov_causal) < 1e-6
+    assert np.allclose(smoothed.bias_sigma, ekf.bias_sigma, rtol=1e-6)
+
+
+def test_within_its_lag_the_fixed_lag_smoother_knows_as_much(monkeypatch):
+    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    config, dataset = exact(seed=3, frames=30, tracks_in_view=25, depth_max=20.0)
+    ekf = filtered(config, dataset)
+    # Marginals are exact where all is linearised at the truth, but for tracks longer than the lag.
+    smoothed = member("fixed_lag", config, dataset, lag_s=1.0, pose_cov_every=1)
+    assert smoothed.complete
+    assert relative(smoothed.pose_cov_causal, ekf.pose_cov_causal) < 1e-6
+
+
+def test_covariances_are_given_only_where_they_were_asked_for():
+    config, dataset = drive(seed=3, frames=15, tracks_in_view=15)
+    seldom = member("isam2", config, dataset, pose_cov_every=5)
+    known = np.isfinite(seldom.pose_cov_causal).all(axis=(1, 2))
+    assert np.flatnonzero(known).tolist() == [0, 5, 10]
+    assert seldom.points_cov is None
+    never = member("isam2", config, dataset)
+    assert not np.isfinite(never.pose_cov_causal).any()
+
+
+@pytest.mark.parametrize("name", ["isam2", "batch"])
+def test_final_marginals_are_those_of_the_whole_information_matrix(name, monkeypatch):
+    config, dataset = drive(seed=3, frames=15, tracks_in_view=15)
+    asked = []
+    covariances = Drive.covariances
+
+    def spied(self, values, keys, *, size):
+        asked.append((self.graph(), values, list(keys)))
+        return covariances(self, values, keys, size=size)
+
+    monkeypatch.setattr(Drive, "covariances", spied)
+    run = member(name, config, dataset, marginals="all")
+    (graph, values, poses), (_, _, landmarks) = asked
+    ordering, start, at = gtsam.Ordering(), {}, 0
+    for key in list(values.keys()):
+        ordering.push_back(key)
+        start[key] = at
+        at += len(values.zeroVectors().at(key))
+    cov = np.linalg.inv(graph.linearize(values).hessian(ordering)[0])
+    wanted = np.array([cov[start[key] : start[key] + 6, start[key] : start[key] + 6] for key in poses])
+    assert poses == [X(k) for k in range(15)]
+    assert relative(run.pose_cov, wanted) < 1e-6
+    wanted = np.array([cov[start[key] : start[key] + 3, start[key] : start[key] + 3] for key in landmarks])
+    assert len(wanted) == len(run.track)
+    assert relative(run.points_cov, wanted) < 1e-6
+
+
+def test_the_newest_poses_marginal_is_the_last_of_the_final_ones():
+    config, dataset = exact(seed=3, frames=20, tracks_in_view=20, depth_max=20.0)
+    run = member("isam2", config, dataset, pose_cov_every=1, marginals="poses")
+    assert relative(run.pose_cov_causal[-1], run.pose_cov[-1]) < 1e-6
+    assert run.points_cov is None

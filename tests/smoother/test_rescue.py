@@ -1,0 +1,250 @@
+"""Steps that cannot be solved: what is set aside, what is told, and when the run ends."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from tests.smoother.drives import BUILD, ate, drive
+from vislam.comparison import make_problem, pixel_sigma
+from vislam.estimator import run
+from vislam.smoother import engine
+from vislam.smoother.engine import IndeterminateError
+
+FRAMES = 40
+AT = 20
+MEMBERS = ["isam2", "fixed_lag", "batch"]
+KIND = {"isam2": engine.WholeGraph, "fixed_lag": engine.FixedLag, "batch": engine.WholeGraph}
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    return drive(seed=8, frames=FRAMES, tracks_in_view=25)
+
+
+def frame_of(newest):
+    return gtsam.symbolIndex(newest[0])
+
+
+def landmarks(stamps):
+    return [key for key in stamps if chr(gtsam.symbolChr(key)) not in "xwvhc"]
+
+
+def plant(monkeypatch, name, times, *, at=AT, key=lambda stamps: None):
+    """Let updates fail after GTSAM has taken them, ``times`` of them from frame ``at`` on."""
+    failures = []
+    update = KIND[name].update
+
+    def fails(self, graph, values, *, stamps, newest, resting, remove):
+        slots = update(self, graph, values, stamps=stamps, newest=newest, resting=resting, remove=remove)
+        if frame_of(newest) >= at and len(failures) < times:
+            failures.append(key(stamps))
+            raise IndeterminateError("planted", failures[-1])
+        return slots
+
+    monkeypatch.setattr(KIND[name], "update", fails)
+    return failures
+
+
+def go(name, simulated, **options):
+    config, dataset = simulated
+    estimator = BUILD[name](make_problem(config, dataset), options)
+    result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
+    return result, estimator
+
+
+def check_set_aside_is_not_used(result, estimator, sequence):
+    """What is set aside has no observation in ``used``, and no factor that could be taken out."""
+    fused = np.unique(sequence.track[result.used])
+    assert np.array_equal(fused, np.unique(result.track))
+    held = estimator._engine.factors()
+    keys = {
+        key
+        for slot in range(held.size())
+        if held.exists(slot) and isinstance(held.at(slot), gtsam.GenericStereoFactor3D)
+        for key in list(held.at(slot).keys())
+        if chr(gtsam.symbolChr(key)) != "x"
+    }
+    assert keys <= {track.key for track in estimator._tracks.landmarks}
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_a_step_that_fails_once_is_rescued_and_told(name, simulated, monkeypatch):
+    plant(monkeypatch, name, 1)
+    result, estimator = go(name, simulated, factorization="qr")
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert len(result.events) == 1
+    assert result.events[0].startswith(f"frame {AT}: planted")
+    assert len(result.world_T_imu) == FRAMES
+    assert ate(result.world_T_imu, simulated[1]) < 0.2
+    check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_a_landmark_that_the_error_names_is_set_aside_alone(name, simulated, monkeypatch):
+    named = plant(monkeypatch, name, 1, key=lambda stamps: landmarks(stamps)[3])
+    result, estimator = go(name, simulated, factorization="qr")
+    monkeypatch.undo()
+    plain, _ = go(name, simulated, factorization="qr")
+    assert named != [None]
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert result.counts["landmarks_set_aside"] == plain.counts["landmarks_set_aside"] + 1
+    assert f"frame {AT}: planted; 1 landmarks set aside, as track " in result.events[0]
+    gone = set(plain.track.tolist()) - set(result.track.tolist())
+    assert len(gone) == 1
+    of_gone = np.isin(simulated[1].sequence.track, list(gone))
+    assert np.array_equal(result.used, plain.used & ~of_gone)
+    assert ate(result.world_T_imu, simulated[1]) < 1.5 * ate(plain.world_T_imu, simulated[1]) + 0.01
+    check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_landmarks_that_errors_name_one_after_the_other_are_all_set_aside(name, simulated, monkeypatch):
+    index = iter(range(3))
+    named = plant(monkeypatch, name, 3, key=lambda stamps: sorted(landmarks(stamps))[next(index)])
+    result, estimator = go(name, simulated, factorization="qr")
+    assert len(set(named)) == 3
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert "3 landmarks set aside" in result.events[0]
+    check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
+    assert not {track.key for track in estimator._tracks.landmarks} & set(named)
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_a_pose_that_is_not_finite_is_rescued(name, simulated, monkeypatch):
+    """The update went well, so that its factors are noted: they are not noted twice."""
+    read, failures = KIND[name].pose, []
+
+    def fails(self, key):
+        if key == gtsam.symbol("x", AT) and not failures:
+            failures.append(key)
+            return np.full((4, 4), np.nan)
+        return read(self, key)
+
+    monkeypatch.setattr(KIND[name], "pose", fails)
+    result, estimator = go(name, simulated, factorization="qr")
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert result.events[0].startswith(f"frame {AT}: the pose is not finite")
+    for track in estimator._tracks.landmarks:
+        assert len(set(track.slots)) == len(track.slots)
+    check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
+
+
+def test_a_try_that_fails_when_it_is_read_leaves_the_next_one_its_factors(simulated, monkeypatch):
+    read, failures = engine.WholeGraph.pose, []
+
+    def fails(self, key):
+        if key == gtsam.symbol("x", AT) and len(failures) < 2:
+            failures.append(key)
+            raise IndeterminateError("planted")
+        return read(self, key)
+
+    monkeypatch.setattr(engine.WholeGraph, "pose", fails)
+    result, estimator = go("isam2", simulated)
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert [event.partition(":")[0] for event in result.events] == [f"frame {AT}"] * 2
+    held = estimator._engine.factors()
+    for track in estimator._tracks.landmarks:
+        assert len(track.slots) == len(track.views)
+        assert all(track.key in list(held.at(slot).keys()) for slot in track.slots)
+
+
+@pytest.mark.parametrize("name", ["isam2", "batch"])
+def test_the_first_failure_of_cholesky_goes_over_to_qr_and_is_no_rescue(name, simulated, monkeypatch):
+    plant(monkeypatch, name, 1)
+    result, estimator = go(name, simulated)
+    monkeypatch.undo()
+    plain, _ = go(name, simulated)
+    assert result.complete
+    assert result.counts["rescues"] == 0
+    assert result.events == (f"frame {AT}: planted to Cholesky; QR from here on",)
+    assert estimator._factorization == "qr"
+    assert np.array_equal(result.used, plain.used)
+    assert np.allclose(result.world_T_imu, plain.world_T_imu, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["isam2", "batch"])
+def test_cholesky_that_was_asked_for_is_kept(name, simulated, monkeypatch):
+    plant(monkeypatch, name, 1)
+    result, estimator = go(name, simulated, factorization="cholesky")
+    assert result.complete
+    assert result.counts["rescues"] == 1
+    assert estimator._factorization == "cholesky"
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_more_rescues_than_allowed_end_the_run_and_the_frames_before_are_kept(name, simulated, monkeypatch):
+    update = KIND[name].update
+    failed = set()
+
+    def fails_once_a_frame(self, graph, values, *, newest, **rest):
+        slots = update(self, graph, values, newest=newest, **rest)
+        if frame_of(newest) >= AT and frame_of(newest) not in failed:
+            failed.add(frame_of(newest))
+            raise IndeterminateError("planted")
+        return slots
+
+    monkeypatch.setattr(KIND[name], "update", fails_once_a_frame)
+    result, _ = go(name, simulated, factorization="qr", max_rescues=2)
+    assert not result.complete
+    assert result.error == f"frame {AT + 2}: DivergedError: planted; it would be rescue 3"
+    assert len(result.world_T_imu) == AT + 2
+    assert np.isfinite(result.world_T_imu).all()
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_a_step_that_never_can_be_solved_ends_the_run_and_keeps_the_rest(name, simulated, monkeypatch):
+    plant(monkeypatch, name, 1000)
+    result, _ = go(name, simulated)
+    assert not result.complete
+    assert result.error == f"frame {AT}: DivergedError: planted, also without any landmark in view"
+    assert len(result.world_T_imu) == AT
+
+
+@pytest.mark.parametrize("at", [AT, 35])
+def test_whatever_gtsam_raises_in_the_lag_ends_the_run_with_the_frames_before_it(simulated, monkeypatch, at):
+    update = engine.FixedLag.update
+
+    def fails(self, graph, values, *, newest, **rest):
+        if frame_of(newest) == at:
+            raise ValueError("Asking to remove variables from the variable index that are not unused")
+        return update(self, graph, values, newest=newest, **rest)
+
+    monkeypatch.setattr(engine.FixedLag, "update", fails)
+    result, _ = go("fixed_lag", simulated)
+    assert not result.complete
+    assert "variable index" in result.error
+    assert len(result.world_T_imu) == at
+    assert np.isfinite(result.world_T_imu).all()
+
+
+def test_a_lag_goes_on_after_a_rescue_that_came_with_marginals(simulated, monkeypatch):
+    """Rescued at frames 30 and 33 of 80, with a lag of 10 frames: what was set aside leaves with it."""
+    config, dataset = drive(seed=8, frames=80, tracks_in_view=25)
+    read, failures = engine.FixedLag.pose, []
+
+    def fails(self, key):
+        if key in (gtsam.symbol("x", 30), gtsam.symbol("x", 33)) and key not in failures:
+            failures.append(key)
+            raise IndeterminateError("planted")
+        return read(self, key)
+
+    monkeypatch.setattr(engine.FixedLag, "pose", fails)
+    result, estimator = go("fixed_lag", (config, dataset), lag_s=1.0)
+    assert result.complete
+    assert result.counts["rescues"] == 2
+    assert ate(result.world_T_imu, dataset) < 1.0
+    held = {
+        chr(gtsam.symbolChr(key)) + str(gtsam.symbolIndex(key))
+        for key in list(estimator._engine.estimate().keys())
+    }
+    assert not {f"x{k}" for k in range(69)} & held
+    own = {track.key for track in estimator._tracks.landmarks}
+    points = {
+        key for key in list(estimator._engine.estimate().keys()) if chr(gtsam.symbolChr(key)) not in "xwv"
+    }
+    assert points <= own
