@@ -177,7 +177,8 @@ class SmootherEstimator:
             graph,
             values,
             stamps=self._stamps_of(frame, now),
-            newest=self._factors.tied(frame.k),
+            newest=self._factors.newest(frame.k),
+            in_view=[track.key for track in now],
             resting=self._resting(now),
             remove=remove,
         )
@@ -264,14 +265,17 @@ class SmootherEstimator:
         if self._counts["rescues"] > self._options.max_rescues:
             raise DivergedError(f"{error}; it would be rescue {self._counts['rescues']}")
         in_view = [track for track in self._tracks.in_view.values() if point.exists(track.key)]
+        behind = [track for track in self._tracks.ended if track.key == error.key]
         where = np.array([point.atPoint3(track.key) for track in in_view]).reshape(-1, 3)
         named = np.array([track.key == error.key for track in in_view], dtype=bool)
         strange = [in_view[index] for index in np.flatnonzero(~self._plausible(where) | named)]
-        for suspects, poses in ((strange, {}), (in_view, dict(enumerate(self._poses)))):
+        everything = [*behind, *in_view]
+        for suspects, poses in (([*behind, *strange], {}), (everything, dict(enumerate(self._poses)))):
             if not suspects and not poses:
                 continue
             found = ", ".join(self._describe(track, point) for track in suspects[:3])
-            self._set_aside([track for track in suspects if track.id in self._tracks.in_view])
+            known = {track.key for track in self._tracks.landmarks}
+            self._set_aside([track for track in suspects if track.key in known])
             try:
                 self._rebuild(frame, held, point, poses)
             except IndeterminateError:
@@ -313,7 +317,8 @@ class SmootherEstimator:
             values,
             # What leaves a lag with this frame leaves with the next: it cannot in the update it comes with.
             stamps={key: max(stamp, oldest) for key, stamp in stamps.items() if values.exists(key)},
-            newest=self._factors.tied(frame.k),
+            newest=self._factors.newest(frame.k),
+            in_view=[track.key for track in self._tracks.in_view.values() if values.exists(track.key)],
             resting=resting,
             remove=[],
         )
