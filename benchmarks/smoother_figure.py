@@ -1,6 +1,7 @@
 """Figure of :mod:`benchmarks.smoother_settings`: data in, Figure out."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure
 from vislam.types import Array
 
 _WINDOW = 25
-# Okabe and Ito's colours, which the colour-blind can tell apart; one a kind of setting, line styles within it.
+# Okabe and Ito's colours, which the colour-blind can tell apart; one a kind of setting.
 _COLOURS = {
     "shipped": "k",
     "relinearize_every": "#0072B2",
@@ -22,7 +23,7 @@ _MARKERS = "osv^D"
 
 
 def steps(step_time: Mapping[str, Array], distance: Mapping[str, float], *, title: str) -> Figure:
-    """Time of a step over the drive, and the mean of it against the distance to the converged estimate [m]."""
+    """Time of a step over the drive, and its mean against the distance to the converged estimate [m]."""
     figure = Figure(figsize=(12, 5), layout="constrained")
     left: Axes
     right: Axes
@@ -31,7 +32,11 @@ def steps(step_time: Mapping[str, Array], distance: Mapping[str, float], *, titl
     for name, seconds in step_time.items():
         kind = name.split(":", maxsplit=1)[0]
         index = seen[kind] = seen.get(kind, -1) + 1
-        look = {"color": _COLOURS[kind], "label": name, "zorder": 3.0 if kind == "shipped" else 2.0}
+        look: dict[str, Any] = {
+            "color": _COLOURS[kind],
+            "label": name,
+            "zorder": 3.0 if kind == "shipped" else 2.0,
+        }
         window = min(_WINDOW, len(seconds))
         mean = np.convolve(1e3 * seconds, np.full(window, 1.0 / window), mode="valid")
         frame = np.arange(len(mean)) + 0.5 * (window - 1)

@@ -102,8 +102,8 @@ def measure(*, frames: Sequence[int] = FRAMES, window: int = 500, warm: int = _W
             for each in found
         ],
         notes=(
-            f"early: {window} steps after the first {warm}, or as many as there are; late: the last {window}; "
-            f"target: within {100 * TARGET:.0f} %",
+            f"early: {window} steps after the first {warm} (as far as there are); "
+            f"late: the last {window}; target: within {100 * TARGET:.0f} %",
             *(f"{each.frames} frames: {event}" for each in found for event in each.events[:3]),
         ),
         values={

@@ -75,7 +75,10 @@ class Smoothed:
 
 
 def smoothed(
-    drive: Drive, options: SmootherOptions, *, on_frame: Callable[[int, SmootherEstimator], None] | None = None
+    drive: Drive,
+    options: SmootherOptions,
+    *,
+    on_frame: Callable[[int, SmootherEstimator], None] | None = None,
 ) -> Smoothed:
     """Run a smoother over a drive, with one thread, whose own clock it is."""
     solver = SmootherEstimator(drive.problem, options)
