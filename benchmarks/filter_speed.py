@@ -7,23 +7,19 @@ Exit codes: 0 done, 2 bad arguments or data.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
-from threadpoolctl import threadpool_info
-
 from benchmarks import dense, floor, growth, recording, tracks
+from benchmarks.telling import tell
 from benchmarks.timing import Drive, Part, Timed
 from vislam.command import answer
-from vislam.comparison import provenance
 from vislam.config import Config
 from vislam.errors import ConfigError, DataError
-from vislam.files import check_writable, replace_whole
-from vislam.terminal import Terminal
+from vislam.files import check_writable
 
 _CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -137,30 +133,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 def run(bench: Bench, parts: Sequence[str], *, out: Path | None) -> None:
     """Measure the parts one after the other, print each, and write them all to ``out``."""
-    terminal = Terminal()
-    machine = {**provenance(), "blas": blas()}
-    for key, value in machine.items():
-        terminal.note(f"{key}: {value}")
-    found = {}
-    for name in parts:
-        part = PARTS[name](bench)
-        terminal.rows(part.header, part.rows, title=part.title)
-        for note in part.notes:
-            terminal.note(note)
-        found[name] = {"title": part.title, **part.values}
-    if out is not None:
-        document = {"schema_version": 1, "provenance": machine, "parts": found}
-        with replace_whole(out) as temporary:
-            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        terminal.note(f"numbers: {out}")
-
-
-def blas() -> str:
-    """Which BLAS libraries are loaded, numpy's and scipy's."""
-    libraries = [item for item in threadpool_info() if item["user_api"] == "blas"]
-    return ", ".join(
-        sorted(f"{item['internal_api']} {item['version']} {item['architecture']}" for item in libraries)
-    )
+    tell({name: partial(PARTS[name], bench) for name in parts}, out=out)
 
 
 if __name__ == "__main__":

@@ -150,7 +150,7 @@ def forward(mode: str, frames: int, window: int) -> Growth:
             landmarks[frame.k] = len(solver.state.track)
             if frame.k == 0:
                 # By now there is all that does not grow: what the sequence makes of itself for all frames.
-                _give_back()
+                give_back()
                 with before:
                     pass
     first, last = step_time[:window], step_time[-window:]
@@ -170,7 +170,7 @@ def forward(mode: str, frames: int, window: int) -> Growth:
     )
 
 
-def _give_back() -> None:
+def give_back() -> None:
     """Return freed memory to the system, where the C library can, so that none is taken from it unseen."""
     gc.collect()
     with contextlib.suppress(AttributeError, OSError, TypeError):
@@ -184,9 +184,11 @@ def _results(solver: EkfEstimator) -> Iterator[object]:
         yield from (getattr(left, item.name) for item in fields(left))
 
 
-def simulated_config(frames: int) -> Config:
+def simulated_config(frames: int, *, loss_probability: float | None = None) -> Config:
     """Config of a drive through a town, with the noise that the filter assumes."""
     simulation = replace(_SIMULATION, frames=frames)
+    if loss_probability is not None:
+        simulation = replace(simulation, loss_probability=loss_probability)
     root = np.sqrt(simulation.period)
     turn, slip = simulation.gyro_sigma * root, simulation.velocity_sigma * root
     return Config(

@@ -34,8 +34,8 @@ def plant(monkeypatch, name, times, *, at=AT, key=lambda stamps: None):
     failures = []
     update = KIND[name].update
 
-    def fails(self, graph, values, *, stamps, newest, resting, remove):
-        slots = update(self, graph, values, stamps=stamps, newest=newest, resting=resting, remove=remove)
+    def fails(self, graph, values, *, stamps, newest, **rest):
+        slots = update(self, graph, values, stamps=stamps, newest=newest, **rest)
         if frame_of(newest) >= at and len(failures) < times:
             failures.append(key(stamps))
             raise IndeterminateError("planted", failures[-1])

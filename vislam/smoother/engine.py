@@ -36,6 +36,7 @@ class Engine(Protocol):
         *,
         stamps: Mapping[int, float],
         newest: Sequence[int],
+        in_view: Sequence[int],
         resting: Sequence[int],
         remove: Sequence[int],
     ) -> list[int]:
@@ -49,7 +50,9 @@ class Engine(Protocol):
         stamps : mapping of int to float
             Time of each variable that the frame has or sees [s].
         newest : sequence of int
-            Variables that the next frame will be tied to.
+            Variables of the frame and those that the next frame will be tied to.
+        in_view : sequence of int
+            Landmarks that it may see.
         resting : sequence of int
             Variables that are not relinearised from now on.
         remove : sequence of int
@@ -98,8 +101,11 @@ class Engine(Protocol):
 class WholeGraph:
     """iSAM2 over the whole drive.
 
-    The newest pose and twist are eliminated last, the landmarks in view before them: the next frame ties to
-    these two, and a landmark's block stays small.
+    The landmarks in view are eliminated last and the newest frame's own variables before them: these are all
+    that the next frame ties to, so that an update reaches no further back than what it tells of earlier
+    frames. With the landmarks free, the ordering eliminates them among the poses that have seen them, and a
+    step costs the more the longer the tracks are, and the longer the drive. The frame goes before the
+    landmarks because Cholesky refuses later then: what is last carries all the drift.
     """
 
     def __init__(self, options: SmootherOptions, factorization: str) -> None:
@@ -118,6 +124,7 @@ class WholeGraph:
         *,
         stamps: Mapping[int, float],
         newest: Sequence[int],
+        in_view: Sequence[int],
         resting: Sequence[int],
         remove: Sequence[int],
     ) -> list[int]:
@@ -128,8 +135,9 @@ class WholeGraph:
         parameters = gtsam.ISAM2UpdateParams()
         parameters.removeFactorIndices = list(remove)
         last = gtsam.KeyGroupMap()
-        for key in newest:
-            last.insert2(key, 1)
+        for group, keys in enumerate((newest, in_view), start=1):
+            for key in keys:
+                last.insert2(key, group)
         parameters.constrainedKeys = last
         self._updates += 1
         if self._every and self._updates % self._every == 0:
@@ -194,11 +202,12 @@ class FixedLag:
         *,
         stamps: Mapping[int, float],
         newest: Sequence[int],
+        in_view: Sequence[int],
         resting: Sequence[int],
         remove: Sequence[int],
     ) -> list[int]:
         """Take a frame."""
-        del newest, resting
+        del newest, in_view, resting
         if remove:
             # The slot of a factor that has gone into a marginal is empty.
             held = self._smoother.getFactors()

@@ -146,6 +146,10 @@ class FactorBuilder:
         clock = [CLOCK] if k > 0 and self._estimate_clock else []
         return [*(key for key in self.keys(k) if key != V(k)), *clock]
 
+    def newest(self, k: int) -> list[int]:
+        """Keys of a frame's own variables and of those that the factors of the next frame tie to."""
+        return list(dict.fromkeys([*self.keys(k), *self.tied(k)]))
+
     def _first_pose_sigma(self) -> Array:
         sigma = np.array(self._problem.first_pose_sigma)
         if self._problem.climb is not None:

@@ -181,7 +181,8 @@ class SmootherEstimator:
                 graph,
                 values,
                 stamps=self._stamps_of(frame, now),
-                newest=self._factors.tied(frame.k),
+                newest=self._factors.newest(frame.k),
+                in_view=[track.key for track in now],
                 resting=self._resting(now),
                 remove=remove,
             )
@@ -235,11 +236,15 @@ class SmootherEstimator:
         for track, point in zip(seen, points, strict=True):
             track.point = point
         self._set_aside(
-            [track for track, good in zip(seen, self._plausible(points, self._poses[-1]), strict=True) if not good]
+            [
+                track
+                for track, good in zip(seen, self._plausible(points, self._poses[-1]), strict=True)
+                if not good
+            ]
         )
 
     def _plausible(self, points: Array, world_T_imu: Array) -> BoolArray:
-        """Whether points ``(..., n, 3)`` are where the camera can have seen them from poses ``(..., 4, 4)``."""
+        """Whether points ``(..., n, 3)`` can have been seen from poses ``(..., 4, 4)``."""
         rig = self._problem.rig
         depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
         return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
@@ -346,7 +351,8 @@ class SmootherEstimator:
             values,
             # What leaves a lag with this frame leaves with the next: it cannot in the update it comes with.
             stamps={key: max(stamp, oldest) for key, stamp in stamps.items() if values.exists(key)},
-            newest=self._factors.tied(frame.k),
+            newest=self._factors.newest(frame.k),
+            in_view=[track.key for track in self._tracks.in_view.values() if values.exists(track.key)],
             resting=resting,
             remove=[],
         )

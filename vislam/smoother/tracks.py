@@ -141,6 +141,9 @@ class Tracks:
 
     def put_aside(self, tracks: Sequence[Track]) -> None:
         """Fuse these tracks no more."""
+        if not tracks:
+            # There are none at nearly all frames, and all that have ended are many.
+            return
         for track in tracks:
             for place in (self.in_view, self.waiting):
                 place.pop(track.id, None)

@@ -1,0 +1,112 @@
+"""A smoother timed over a drive, with the share of its time that goes by inside GTSAM's solver."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.timing import Drive
+from vislam.estimator import Estimate
+from vislam.smoother import SmootherEstimator, SmootherOptions, engine
+from vislam.types import Array
+
+
+@dataclass
+class Inside:
+    """Time that went by inside calls [s]."""
+
+    seconds: float = 0.0
+
+    def counting(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the same call, its time counted."""
+
+        def counted(*arguments: Any) -> Any:
+            before = time.thread_time()
+            try:
+                return call(*arguments)
+            finally:
+                self.seconds += time.thread_time() - before
+
+        return counted
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """A smoother's run over a drive.
+
+    Attributes
+    ----------
+    step_time, solver_time : (T,)
+        Of each step, and of what of it goes by inside GTSAM's solver: its updates and the reading of poses,
+        twists and points. Building the factors is outside, though GTSAM's constructors do it [s].
+    final_time : float
+        Of the final estimate [s].
+    causal : (T, 4, 4)
+        Pose of each frame as it was then.
+    estimate : Estimate
+    """
+
+    step_time: Array
+    solver_time: Array
+    final_time: float
+    causal: Array
+    estimate: Estimate
+
+    @property
+    def forward(self) -> float:
+        """Time of all steps [s]."""
+        return float(self.step_time.sum())
+
+    @property
+    def outside(self) -> float:
+        """Share of the steps' time outside GTSAM's solver."""
+        return 1.0 - float(self.solver_time.sum()) / self.forward
+
+    @property
+    def last_of_first(self) -> float:
+        """Mean time of the last tenth of the steps over that of the first."""
+        tenths = np.array_split(self.step_time, 10)
+        return float(tenths[-1].mean() / tenths[0].mean())
+
+
+def smoothed(
+    drive: Drive,
+    options: SmootherOptions,
+    *,
+    on_frame: Callable[[int, SmootherEstimator], None] | None = None,
+) -> Smoothed:
+    """Run a smoother over a drive, with one thread, whose own clock it is."""
+    solver = SmootherEstimator(drive.problem, options)
+    step_time, solver_time, causal = [], [], []
+    with threadpool_limits(1), _counted() as inside:
+        for frame in drive.dataset.sequence.frames(drive.sigma):
+            refused = np.zeros(len(frame.track), bool)
+            inside.seconds = 0.0
+            before = time.thread_time()
+            record = solver.process(frame, refused)
+            step_time.append(time.thread_time() - before)
+            solver_time.append(inside.seconds)
+            causal.append(record.world_T_imu)
+            if on_frame is not None:
+                on_frame(frame.k, solver)
+        before = time.thread_time()
+        estimate = solver.finalize()
+        final_time = time.thread_time() - before
+    return Smoothed(np.array(step_time), np.array(solver_time), final_time, np.array(causal), estimate)
+
+
+@contextmanager
+def _counted() -> Iterator[Inside]:
+    """Count the time inside GTSAM's solver."""
+    inside = Inside()
+    kind = engine.WholeGraph
+    with (
+        patch.object(engine, "_solved", inside.counting(engine._solved)),
+        patch.object(kind, "points", inside.counting(kind.points)),
+    ):
+        yield inside
