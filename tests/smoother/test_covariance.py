@@ -55,13 +55,13 @@ def test_covariances_are_given_only_where_they_were_asked_for():
 def test_final_marginals_are_those_of_the_whole_information_matrix(name, monkeypatch):
     config, dataset = drive(seed=3, frames=15, tracks_in_view=15)
     asked = []
-    marginals = Drive.marginals
+    covariances = Drive.covariances
 
-    def spied(self, values):
+    def spied(self, values, keys):
         asked.append((self.graph(), values, [track.key for track in self.tracks]))
-        return marginals(self, values)
+        return covariances(self, values, keys)
 
-    monkeypatch.setattr(Drive, "marginals", spied)
+    monkeypatch.setattr(Drive, "covariances", spied)
     run = member(name, config, dataset, marginals="all")
     [(graph, values, landmarks)] = asked
     poses = [X(k) for k in range(15)]

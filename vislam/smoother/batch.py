@@ -137,18 +137,19 @@ class Drive:
         self.tracks = [track for track in self.tracks if track.views]
         return only(values, self.graph()), int(count - good.sum())
 
-    def marginals(self, values: gtsam.Values) -> Callable[[int], Array]:
-        """Marginal covariance by key: of a pose on its right, of a point in the world's axes."""
+    def covariances(self, values: gtsam.Values, keys: Sequence[int]) -> list[Array]:
+        """Marginal covariances: of a pose on its right, of a point in the world's axes."""
         graph = self.graph()
         try:
-            return gtsam.Marginals(graph, values).marginalCovariance
+            solver = gtsam.Marginals(graph, values)
+            return [solver.marginalCovariance(key) for key in keys]
         except RuntimeError:
             # It knows Cholesky only, which may refuse; a tree by QR does not.
             parameters = gtsam.ISAM2Params()
             parameters.setFactorization("QR")
             tree = gtsam.ISAM2(parameters)
             tree.update(graph, values)
-            return tree.marginalCovariance
+            return [tree.marginalCovariance(key) for key in keys]
 
 
 def minimise(

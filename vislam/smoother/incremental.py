@@ -106,11 +106,10 @@ class SmootherEstimator:
             poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
             if options.marginals != "none":
-                covariance = drive.marginals(values)
-                pose_cov = np.array([covariance(X(k)) for k in range(len(poses))])
-                if options.marginals == "all":
-                    found = [covariance(track.key) for track in tracks]
-                    points_cov = np.array(found).reshape(-1, 3, 3)
+                asked = [track.key for track in tracks] if options.marginals == "all" else []
+                found = drive.covariances(values, [*(X(k) for k in range(len(poses))), *asked])
+                pose_cov = np.array(found[: len(poses)])
+                points_cov = np.array(found[len(poses) :]).reshape(-1, 3, 3) if asked else None
         return Estimate(
             world_T_imu=poses.reshape(-1, 4, 4),
             pose_cov=pose_cov,
