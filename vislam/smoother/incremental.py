@@ -338,7 +338,7 @@ class SmootherEstimator:
         stamps |= {track.key: self._stamps[track.views[-1].k] for track in landmarks}
         stamps |= dict.fromkeys(self._factors.tied(frame.k), frame.stamp)
         oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
-        # What was set aside may be left in the factors of what has been marginalised, and in these alone: they
+        # What was set aside may be left in the factors of what has been marginalised, and only in these: they
         # need not determine it.
         left = [key for key in list(values.keys()) if key not in stamps]
         for key in filter(is_landmark, left):
