@@ -43,6 +43,19 @@ def test_wrong_associations_do_not_end_the_run(name, share):
     assert run.complete
 
 
+@pytest.mark.parametrize(
+    ("seed", "share", "lag"), [(1, 0.4, 1.0), (3, 0.2, 3.0), (5, 0.2, 3.0), (7, 0.4, 3.0), (10, 0.2, 1.0)]
+)
+def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, share, lag):
+    """Drives in which a landmark broke the step and was no longer in any factor but a marginal."""
+    config, dataset = drive(seed=seed, frames=120, tracks_in_view=25, outlier_probability=share)
+    run = member("fixed_lag", config, dataset, lag_s=lag)
+    check_usable(run, 120)
+    assert run.complete
+    assert run.counts["rescues"] > 0
+    assert len(run.events) == run.counts["rescues"]
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("name", MEMBERS)
 def test_a_fault_does_not_end_the_run(name, fault):

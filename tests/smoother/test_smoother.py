@@ -206,4 +206,4 @@ def test_the_climb_rate_holds_the_height():
         run = member(name, climbing, dataset)
         assert run.complete
         off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
-        assert off < 0.3
+        assert off < 0.1

@@ -24,6 +24,8 @@ _UNKNOWN_CLIMB = 5.0
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""
 _SMALLEST_DENSITY = 1e-9
+_VAGUE = 1e3
+"""Standard deviation of a landmark of which nothing is known [m]."""
 _MOST_NOISES = 1000
 
 _KERNELS: Mapping[str, tuple[Any, float]] = {
@@ -120,6 +122,10 @@ class FactorBuilder:
         for view in views:
             factor.add(gtsam.StereoPoint2(*view.z), X(view.k), self._calibration)
         return factor
+
+    def vague(self, key: int, point: Array) -> gtsam.NonlinearFactor:
+        """Prior of a landmark that tells next to nothing, but where it is if nobody else does."""
+        return gtsam.PriorFactorPoint3(key, point, _sigmas(np.full(3, _VAGUE)))
 
     def insert(self, values: gtsam.Values, frame: Frame, *, pose: Array, twist: Array, height: float) -> None:
         """Give the variables of a frame their first values; ``twist (6,)`` is that less its bias."""

@@ -14,7 +14,7 @@ from vislam.smoother import engine
 from vislam.smoother.batch import Drive, only
 from vislam.smoother.engine import IndeterminateError
 from vislam.smoother.factors import FactorBuilder
-from vislam.smoother.keys import CLOCK, W, X
+from vislam.smoother.keys import CLOCK, W, X, is_landmark
 from vislam.smoother.options import SmootherOptions
 from vislam.smoother.tracks import Track, Tracks
 from vislam.types import Array, BoolArray
@@ -243,7 +243,7 @@ class SmootherEstimator:
         )
 
     def _plausible(self, points: Array, world_T_imu: Array) -> BoolArray:
-        """Whether points ``(..., n, 3)`` can have been seen from poses ``(..., 4, 4)``."""
+        """Whether points ``(..., n, 3)`` are where a camera can have seen them, poses ``(..., 4, 4)``."""
         rig = self._problem.rig
         depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
         return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
@@ -339,8 +339,12 @@ class SmootherEstimator:
         stamps |= {track.key: self._stamps[track.views[-1].k] for track in landmarks}
         stamps |= dict.fromkeys(self._factors.tied(frame.k), frame.stamp)
         oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
-        # What was set aside may be left in the factors of what has been marginalised.
-        stamps = dict.fromkeys(values.keys(), oldest) | stamps
+        # What was set aside may be left in the factors of what has been marginalised, and only in these: they
+        # need not determine it.
+        left = [key for key in list(values.keys()) if key not in stamps]
+        for key in filter(is_landmark, left):
+            graph.add(self._factors.vague(key, values.atPoint3(key)))
+        stamps |= dict.fromkeys(left, oldest)
         old = frame.k - self._options.window
         resting = [key for k in self._held() if k <= old for key in self._factors.keys(k)]
         resting += [track.key for track in landmarks if track.views[-1].k <= old]
@@ -357,7 +361,7 @@ class SmootherEstimator:
         )
         self._read(frame)
         # Not before all went well: else the next try has the factors of this one.
-        moved = dict(zip(kept, slots, strict=True))
+        moved = dict(zip(kept, slots[: len(kept)], strict=True))
         for track in landmarks:
             track.slots = [moved[slot] for slot in track.slots if slot in moved]
         self._remove = []

@@ -21,7 +21,7 @@ _NEAREST = 4.0
 """Depth up to which the first letter goes [m]."""
 _LINEAR = 1e3
 
-__all__ = ["CLOCK", "H", "V", "W", "X", "landmark", "thresholds"]
+__all__ = ["CLOCK", "H", "V", "W", "X", "is_landmark", "landmark", "thresholds"]
 
 
 def landmark(number: int, depth: float) -> int:
@@ -29,6 +29,11 @@ def landmark(number: int, depth: float) -> int:
     octave = int(np.ceil(2.0 * np.log2(max(depth, _NEAREST) / _NEAREST)))
     key: int = gtsam.symbol(_LETTERS[min(octave, len(_LETTERS) - 1)], number)
     return key
+
+
+def is_landmark(key: int) -> bool:
+    """Whether a key is that of a landmark."""
+    return chr(gtsam.symbolChr(key)) in _LETTERS
 
 
 def thresholds(*, pose: Array, depth_share: float) -> gtsam.ISAM2ThresholdMap:
