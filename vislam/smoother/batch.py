@@ -137,8 +137,19 @@ class Drive:
 
     def covariances(self, values: gtsam.Values, keys: Sequence[int], *, size: int) -> Array:
         """Marginal covariances ``(n, size, size)``: of poses on their right, of points in world axes."""
-        solver = gtsam.Marginals(self.graph(), values)
-        return np.array([solver.marginalCovariance(key) for key in keys]).reshape(-1, size, size)
+        graph = self.graph()
+        try:
+            solver = gtsam.Marginals(graph, values)
+            found = [solver.marginalCovariance(key) for key in keys]
+        except RuntimeError:
+            # Cholesky refuses where a pose is known much worse than a step; QR does not, which in Python is
+            # to be had of iSAM2 only.
+            parameters = gtsam.ISAM2Params()
+            parameters.setFactorization("QR")
+            tree = gtsam.ISAM2(parameters)
+            tree.update(graph, values)
+            found = [tree.marginalCovariance(key) for key in keys]
+        return np.array(found).reshape(-1, size, size)
 
 
 def minimise(
