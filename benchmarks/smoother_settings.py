@@ -21,7 +21,7 @@ from vislam.smoother.family import MEMBERS
 from vislam.types import Array
 
 _SHIPPED = SmootherOptions()
-_SCALES = {0.05: 1.0 / 3.0, 0.5: 10.0 / 3.0}
+_SCALES = {0.15: 3.0, 0.5: 10.0}
 
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "shipped": {},
@@ -40,10 +40,10 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     },
     **{
         f"wildfire_threshold: {least}": {"wildfire_threshold": least}
-        for least in (0.01, 1.0)
+        for least in (0.01, 0.1)
         if least != _SHIPPED.wildfire_threshold
     },
-    "factorization: qr": {"factorization": "qr"},
+    "factorization: auto": {"factorization": "auto"},
 }
 """One setting at a time away from the shipped ones; the thresholds of poses go with that of landmarks."""
 

@@ -49,7 +49,17 @@ def test_wrong_associations_do_not_end_the_run(name, share):
 def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, share, lag):
     """Drives in which a landmark broke the step and was no longer in any factor but a marginal."""
     config, dataset = drive(seed=seed, frames=120, tracks_in_view=25, outlier_probability=share)
-    run = member("fixed_lag", config, dataset, lag_s=lag)
+    run = member(
+        "fixed_lag",
+        config,
+        dataset,
+        lag_s=lag,
+        relinearize_every=5,
+        landmark_threshold=0.15,
+        pose_threshold_rad=0.01,
+        pose_threshold_m=0.1,
+        wildfire_threshold=0.1,
+    )
     check_usable(run, 120)
     assert run.complete
     assert run.counts["rescues"] > 0

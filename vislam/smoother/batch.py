@@ -113,13 +113,12 @@ class Drive:
                 values,
                 restart=lambda values: self.triangulated(values, clear=options.start_clearance),
                 rounds=options.final_iterations,
-                factorization=options.factorization,
             )
         graph = self.motion()
         for track in self.tracks:
             graph.add(self.factors.smart(track.views))
         start = only(values, graph)
-        found = minimise(graph, start, restart=gtsam.Values, rounds=1, factorization=options.factorization)
+        found = minimise(graph, start, restart=gtsam.Values, rounds=1)
         everything = gtsam.Values(values)
         everything.update(found.values)
         located = self.triangulated(everything, clear=options.start_clearance)
@@ -158,7 +157,6 @@ def minimise(
     *,
     restart: Callable[[gtsam.Values], gtsam.Values],
     rounds: int,
-    factorization: str,
 ) -> Optimum:
     """Levenberg-Marquardt, again from where ``restart`` moves the best values, until the cost rests.
 
@@ -170,13 +168,11 @@ def minimise(
         Values to start a round from, out of the best so far.
     rounds : int
         At most.
-    factorization : str
-        As in :class:`SmootherOptions`.
     """
     best, cost, done, at_rest = values, graph.error(values), 0, False
     while done < rounds and not at_rest:
         done += 1
-        found = _descend(graph, restart(best), factorization)
+        found = _descend(graph, restart(best))
         now = graph.error(found)
         at_rest = not now < (1.0 - _AT_REST) * cost
         if now < cost:
@@ -233,12 +229,12 @@ def only(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> gtsam.Value
     return kept
 
 
-def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, factorization: str) -> gtsam.Values:
-    parameters = _parameters("qr" if factorization == "qr" else "cholesky")
+def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    """Levenberg-Marquardt with Cholesky, and from there with QR if steps were refused."""
+    parameters = _parameters("cholesky")
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
     found = optimizer.optimize()
-    if factorization == "auto" and optimizer.lambda_() > parameters.getlambdaInitial():
-        # Steps were refused, by Cholesky or by the cost.
+    if optimizer.lambda_() > parameters.getlambdaInitial():
         found = gtsam.LevenbergMarquardtOptimizer(graph, found, _parameters("qr")).optimize()
     return found
 

@@ -14,7 +14,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
     # What is relinearised beside a marginal, which is not, makes the whole window jump, far from the start by
     # metres.
-    "fixed_lag": {"lag_s": 3.0, "relinearize_every": 0, "factorization": "qr"},
+    "fixed_lag": {"lag_s": 3.0, "relinearize_every": 0},
     "batch": {"final": "batch", "final_iterations": 10},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},
 }

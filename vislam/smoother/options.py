@@ -24,18 +24,18 @@ class SmootherOptions:
     """Frames between two relinearisations on the way; 0: none, not in the end either."""
     window: Annotated[int, Field(ge=1)] = 5
     """Frames after its last sight for which a variable may still be relinearised, until the end."""
-    pose_threshold_rad: Positive = 0.01
+    pose_threshold_rad: Positive = 0.003
     """Relinearise a pose that turned by more than this [rad]."""
-    pose_threshold_m: Positive = 0.1
+    pose_threshold_m: Positive = 0.03
     """Relinearise a pose that moved by more than this [m]."""
-    landmark_threshold: Positive = 0.15
+    landmark_threshold: Positive = 0.05
     """Relinearise a landmark that moved by more than this share of its depth."""
-    wildfire_threshold: NonNegative = 0.1
+    wildfire_threshold: NonNegative = 1.0
     """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
-    factorization: Literal["auto", "cholesky", "qr"] = "auto"
+    factorization: Literal["qr", "cholesky", "auto"] = "qr"
     """How cliques are eliminated. GTSAM's Cholesky takes half the time and refuses a clique in which a pivot
     is less than 1e-7 of its diagonal, as where the place is known 3,000 times worse than the last step;
-    ``auto`` goes over to QR then."""
+    ``auto`` begins with it and goes over to QR then."""
     start_clearance: Positive = 5.0
     """A landmark starts when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3
