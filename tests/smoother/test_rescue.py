@@ -143,7 +143,7 @@ def test_a_try_that_fails_when_it_is_read_leaves_the_next_one_its_factors(simula
         return read(self, key)
 
     monkeypatch.setattr(engine.WholeGraph, "pose", fails)
-    result, estimator = go("isam2", simulated)
+    result, estimator = go("isam2", simulated, factorization="auto")
     assert result.complete
     assert result.counts["rescues"] == 1
     assert [event.partition(":")[0] for event in result.events] == [f"frame {AT}"] * 2
@@ -156,9 +156,9 @@ def test_a_try_that_fails_when_it_is_read_leaves_the_next_one_its_factors(simula
 @pytest.mark.parametrize("name", ["isam2", "batch"])
 def test_the_first_failure_of_cholesky_goes_over_to_qr_and_is_no_rescue(name, simulated, monkeypatch):
     plant(monkeypatch, name, 1)
-    result, estimator = go(name, simulated)
+    result, estimator = go(name, simulated, factorization="auto")
     monkeypatch.undo()
-    plain, _ = go(name, simulated)
+    plain, _ = go(name, simulated, factorization="auto")
     assert result.complete
     assert result.counts["rescues"] == 0
     assert result.events == (f"frame {AT}: planted to Cholesky; QR from here on",)
