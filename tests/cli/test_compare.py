@@ -259,11 +259,11 @@ BAD_CONFIGS = {
     "not YAML": ("a: [1\n", "not a YAML file"),
     "unknown estimator": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {ukf: {}}\n",
-        "estimators.ukf: no such estimator; installed are dead_reckoning, ekf, ekf_fej",
+        "estimators.ukf: no such estimator; installed are batch, batch_gnc, dead_reckoning",
     ),
     "unknown estimator behind a name": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: ukf}}\n",
-        "estimators.mine.estimator: ukf: no such estimator; installed are dead_reckoning, ekf, ekf_fej",
+        "estimators.mine.estimator: ukf: no such estimator; installed are batch, batch_gnc, dead_reckoning",
     ),
     "no name of an estimator": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: 3}}\n",
