@@ -21,6 +21,12 @@ GROUP = "vislam.estimators"
 """Entry-point group under which estimators are found by name."""
 
 
+HEIGHT_SIGMA = 0.02
+"""White error of the height against the integrated climb rate [m]."""
+UNKNOWN_CLIMB = 5.0
+"""Standard deviation of the climb rate where a step has none [m/s]."""
+
+
 @dataclass(frozen=True)
 class ClimbNoise:
     """How the climb rate is taken as a measurement.

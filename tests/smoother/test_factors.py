@@ -8,11 +8,11 @@ from scipy.stats import chi
 
 from tests.smoother.drives import RIG
 from vislam.data.sequence import Frame
-from vislam.estimator import ClimbNoise, Problem
+from vislam.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
 from vislam.geometry import se3
 from vislam.motion import MotionNoise
 from vislam.sensors import TrackNoise
-from vislam.smoother.factors import _KERNELS, HEIGHT_SIGMA, FactorBuilder
+from vislam.smoother.factors import _KERNELS, FactorBuilder
 from vislam.smoother.keys import CLOCK, H, V, W, X, landmark
 from vislam.smoother.tracks import View
 

@@ -14,7 +14,7 @@ from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.measurement import Camera, View, up_axis
 from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
 from vislam.geometry import se3
 from vislam.motion import BIAS, POSE
 from vislam.sensors import TrackNoise
@@ -22,10 +22,6 @@ from vislam.types import Array, BoolArray, IntArray
 
 _NEAREST = 0.5
 """A landmark predicted nearer than this, or behind the camera, is not fused [m]."""
-_HEIGHT_SIGMA = 0.02
-"""White error of the height against the integrated climb rate [m]."""
-_UNKNOWN_CLIMB = 5.0
-"""Standard deviation of the climb rate where a step has none [m/s]."""
 _AT_REST = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
 _HUBER_DISTANCE = float(chi2.ppf(0.95, 3))
@@ -156,7 +152,7 @@ class EkfEstimator:
         if problem.climb is not None:
             known = np.isfinite(frame.climb_rate)
             state.nav[CLIMB] += dt * frame.climb_rate if known else 0.0
-            noise[CLIMB, CLIMB] = dt * problem.climb.walk**2 if known else (dt * _UNKNOWN_CLIMB) ** 2
+            noise[CLIMB, CLIMB] = dt * problem.climb.walk**2 if known else (dt * UNKNOWN_CLIMB) ** 2
         state.predict(step.prev_T_next, transition, noise)
 
     def _fuse(
@@ -234,7 +230,7 @@ class EkfEstimator:
         by_nav[0, CLIMB] = -1.0
         jacobian = Jacobian(by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
         projected = jacobian.times(state.cov)
-        spread = jacobian.times(projected.T) + _HEIGHT_SIGMA**2
+        spread = jacobian.times(projected.T) + HEIGHT_SIGMA**2
         innovation = np.array([state.nav[CLIMB] - up @ position])
         state.correct(Update.of(jacobian, projected, spread, innovation))
 

@@ -12,15 +12,11 @@ import gtsam_unstable
 import numpy as np
 
 from vislam.data.sequence import Frame
-from vislam.estimator import Problem
+from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
 from vislam.smoother.keys import CLOCK, H, V, W, X
 from vislam.smoother.tracks import View
 from vislam.types import Array
 
-HEIGHT_SIGMA = 0.02
-"""White error of the height against the integrated climb rate [m]."""
-_UNKNOWN_CLIMB = 5.0
-"""Standard deviation of the climb rate where a step has none [m/s]."""
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""
 _SMALLEST_DENSITY = 1e-9
@@ -97,7 +93,7 @@ class FactorBuilder:
             ]
             if problem.climb is not None:
                 known = np.isfinite(frame.climb_rate)
-                spread = np.sqrt(frame.dt) * problem.climb.walk if known else frame.dt * _UNKNOWN_CLIMB
+                spread = np.sqrt(frame.dt) * problem.climb.walk if known else frame.dt * UNKNOWN_CLIMB
                 rise = np.array([0.0, 0.0, frame.dt * frame.climb_rate if known else 0.0])
                 factors.append(
                     gtsam.BetweenFactorPoint3(H(k - 1), H(k), rise, _sigmas([_UNUSED, _UNUSED, spread]))
