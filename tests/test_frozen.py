@@ -105,6 +105,7 @@ def test_the_list_has_a_name_of_its_own(short: Dataset):
 
 RUNGS = """
 frozen_by: [ekf, isam2]
+gate_probability: 0.9
 estimators:
   dead_reckoning: {}
   ekf_all: {estimator: ekf, observations: all}

@@ -202,8 +202,14 @@ def test_the_climb_rate_holds_the_height():
     dataset = open_dataset(data, seed=8)
     climbing = replace(config, noise=replace(config.noise, climb=ClimbConfig()))
     height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
-    for name in ("isam2", "batch", "fixed_lag"):
-        run = member(name, climbing, dataset)
+    # A lag keeps the tilt as it was linearised first, unless it relinearises. Without the climb rate: 1.5 m.
+    for name, options, limit in (
+        ("isam2", {}, 0.1),
+        ("batch", {}, 0.1),
+        ("fixed_lag", {}, 0.3),
+        ("fixed_lag", {"relinearize_every": 5}, 0.1),
+    ):
+        run = member(name, climbing, dataset, **options)
         assert run.complete
         off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
-        assert off < 0.1
+        assert off < limit
