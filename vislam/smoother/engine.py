@@ -98,7 +98,39 @@ class Engine(Protocol):
         ...
 
 
-class WholeGraph:
+class _Read:
+    """Reading of an estimate, which iSAM2 and the fixed-lag smoother answer to the same calls.
+
+    Attributes
+    ----------
+    _solver : gtsam.ISAM2 or gtsam.IncrementalFixedLagSmoother
+    """
+
+    _solver: Any
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        return self._solver.getLinearizationPoint()
+
+    def pose(self, key: int) -> Array:
+        """Pose ``(4, 4)``."""
+        return _solved(self._solver.calculateEstimatePose3, key).matrix()
+
+    def vector(self, key: int) -> Array:
+        """Vector variable."""
+        return _solved(self._solver.calculateEstimateVector, key)
+
+    def points(self, keys: Sequence[int]) -> Array:
+        """Points ``(n, 3)`` [m]."""
+        read = self._solver.calculateEstimatePoint3
+        return np.array([read(key) for key in keys]).reshape(-1, 3)
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable."""
+        return _solved(self._solver.marginalCovariance, key)
+
+
+class WholeGraph(_Read):
     """iSAM2 over the whole drive.
 
     The landmarks in view are eliminated last and the newest frame's own variables before them: these are all
@@ -113,7 +145,7 @@ class WholeGraph:
         parameters = _parameters(options, factorization)
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
-        self._isam = gtsam.ISAM2(parameters)
+        self._solver = gtsam.ISAM2(parameters)
         self._resting = gtsam.KeyList()
         self._updates = 0
 
@@ -154,38 +186,17 @@ class WholeGraph:
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors, by slot."""
-        return self._isam.getFactorsUnsafe()
-
-    def linearization_point(self) -> gtsam.Values:
-        """Where the factors were linearised last."""
-        return self._isam.getLinearizationPoint()
+        return self._solver.getFactorsUnsafe()
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables."""
-        return _solved(self._isam.calculateBestEstimate)
-
-    def pose(self, key: int) -> Array:
-        """Pose ``(4, 4)``."""
-        return _solved(self._isam.calculateEstimatePose3, key).matrix()
-
-    def vector(self, key: int) -> Array:
-        """Vector variable."""
-        return _solved(self._isam.calculateEstimateVector, key)
-
-    def points(self, keys: Sequence[int]) -> Array:
-        """Points ``(n, 3)`` [m]."""
-        read = self._isam.calculateEstimatePoint3
-        return np.array([read(key) for key in keys]).reshape(-1, 3)
-
-    def covariance(self, key: int) -> Array:
-        """Marginal covariance of a variable."""
-        return _solved(self._isam.marginalCovariance, key)
+        return _solved(self._solver.calculateBestEstimate)
 
     def _solve(self, *arguments: Any) -> gtsam.ISAM2Result:
-        return _solved(self._isam.update, *arguments)
+        return _solved(self._solver.update, *arguments)
 
 
-class FixedLag:
+class FixedLag(_Read):
     """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
 
     def __init__(self, options: SmootherOptions, factorization: str) -> None:
@@ -193,7 +204,7 @@ class FixedLag:
         parameters.enableRelinearization = options.relinearize_every > 0
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
-        self._smoother = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
+        self._solver = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
 
     def update(
         self,
@@ -210,43 +221,22 @@ class FixedLag:
         del newest, in_view, resting
         if remove:
             # The slot of a factor that has gone into a marginal is empty.
-            held = self._smoother.getFactors()
+            held = self._solver.getFactors()
             remove = [slot for slot in remove if held.exists(slot)]
-        _solved(self._smoother.update, graph, values, dict(stamps), list(remove))
-        return list(self._smoother.getISAM2Result().getNewFactorsIndices())
+        _solved(self._solver.update, graph, values, dict(stamps), list(remove))
+        return list(self._solver.getISAM2Result().getNewFactorsIndices())
 
     def settle(self) -> None:
         """Update without anything new."""
-        _solved(self._smoother.update)
+        _solved(self._solver.update)
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors, by slot."""
-        return self._smoother.getFactors()
-
-    def linearization_point(self) -> gtsam.Values:
-        """Where the factors were linearised last."""
-        return self._smoother.getLinearizationPoint()
+        return self._solver.getFactors()
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables in the window."""
-        return _solved(self._smoother.calculateEstimate)
-
-    def pose(self, key: int) -> Array:
-        """Pose ``(4, 4)``."""
-        return _solved(self._smoother.calculateEstimatePose3, key).matrix()
-
-    def vector(self, key: int) -> Array:
-        """Vector variable."""
-        return _solved(self._smoother.calculateEstimateVector, key)
-
-    def points(self, keys: Sequence[int]) -> Array:
-        """Points ``(n, 3)`` [m]."""
-        read = self._smoother.calculateEstimatePoint3
-        return np.array([read(key) for key in keys]).reshape(-1, 3)
-
-    def covariance(self, key: int) -> Array:
-        """Marginal covariance of a variable."""
-        return _solved(self._smoother.marginalCovariance, key)
+        return _solved(self._solver.calculateEstimate)
 
 
 def make(options: SmootherOptions, *, factorization: str) -> Engine:

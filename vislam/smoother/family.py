@@ -1,6 +1,7 @@
 """The members of the smoother family: one name each, all the same smoother with other options."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from vislam import config
@@ -22,6 +23,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build a member from a problem and the options of its config section."""
     parsed = config.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     if problem.disparity_offset_sigma > 0.0:
         raise ConfigError(
@@ -31,26 +33,8 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoother
     return SmootherEstimator(problem, parsed)
 
 
-def build_isam2(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build iSAM2 over the whole drive."""
-    return _member("isam2", problem, options)
-
-
-def build_norelin(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build iSAM2 that keeps the first linearisation of every factor."""
-    return _member("isam2_norelin", problem, options)
-
-
-def build_fixed_lag(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build the smoother that marginalises what is older than a lag."""
-    return _member("fixed_lag", problem, options)
-
-
-def build_batch(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build iSAM2 with a batch optimisation in the end."""
-    return _member("batch", problem, options)
-
-
-def build_gnc(problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build iSAM2 with a robust batch optimisation in the end, by graduated non-convexity."""
-    return _member("batch_gnc", problem, options)
+build_isam2 = partial(_member, "isam2")
+build_norelin = partial(_member, "isam2_norelin")
+build_fixed_lag = partial(_member, "fixed_lag")
+build_batch = partial(_member, "batch")
+build_gnc = partial(_member, "batch_gnc")
