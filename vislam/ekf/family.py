@@ -1,6 +1,7 @@
 """The members of the filter family: one name each, all the same filter with other options."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from vislam import config
@@ -19,31 +20,14 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
+    """Build a member from a problem and the options of its config section."""
     return EkfEstimator(
         problem, config.parse(EkfOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     )
 
 
-def build(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the standard filter from a problem and the options of its config section."""
-    return _member("ekf", problem, options)
-
-
-def build_iterated(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the filter whose updates are Gauss-Newton iterations."""
-    return _member("ekf_iterated", problem, options)
-
-
-def build_fej(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the filter with Jacobians at first estimates."""
-    return _member("ekf_fej", problem, options)
-
-
-def build_invariant(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the filter with the right-invariant error."""
-    return _member("ekf_invariant", problem, options)
-
-
-def build_smoother(problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
-    """Build the invariant filter whose poses are smoothed in the end."""
-    return _member("eks", problem, options)
+build = partial(_member, "ekf")
+build_iterated = partial(_member, "ekf_iterated")
+build_fej = partial(_member, "ekf_fej")
+build_invariant = partial(_member, "ekf_invariant")
+build_smoother = partial(_member, "eks")
