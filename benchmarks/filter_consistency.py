@@ -28,7 +28,6 @@ from benchmarks.variants import VARIANTS
 from vislam import estimator
 from vislam.config import parse
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.ekf.observability import Unobservable
 from vislam.estimator import Problem
 from vislam.evaluation.consistency import (
     COMPONENTS,
@@ -161,8 +160,8 @@ def measure(
     sequence, problem, truth = drive(LEVELS[level], frames=frames, seed=seed)
     sigma = np.broadcast_to(problem.track_noise.sigma, (sequence.observations, 3))
     found: dict[str, Outcome | None] = {}
-    for name, solver, gained in _estimators(problem, variants):
-        run = estimator.run(solver, sequence, sigma, name=name, on_frame=gained.note)
+    for name, solver in _estimators(problem, variants):
+        run = estimator.run(solver, sequence, sigma, name=name)
         if not run.complete:
             found[name] = None
             continue
@@ -171,38 +170,20 @@ def measure(
             consistency(run, truth),
             np.arctan2(turned[:, 1, 0], turned[:, 0, 0]),
             run.nis_per_dof,
-            np.array(gained.frames) if gained.frames else None,
+            run.world_gained if np.isfinite(run.world_gained).all() else None,
         )
     return found
 
 
-class _Gained:
-    """Information gained at each frame by a filter whose steps are noted for nothing else."""
-
-    def __init__(self, solver: EkfEstimator | None = None) -> None:
-        self.frames: list[Array] = []
-        self._solver, self._followed = solver, Unobservable()
-        if solver is not None:
-            solver.state.steps = []
-
-    def note(self, k: int) -> None:
-        """Follow the steps of the frame that is done."""
-        if self._solver is not None and self._solver.state.steps is not None:
-            self.frames.append(self._followed.follow(self._solver.state.steps))
-            self._solver.state.steps.clear()
-
-
 def _estimators(
     problem: Problem, variants: Mapping[str, Mapping[str, Any]]
-) -> Iterator[tuple[str, estimator.Estimator, _Gained]]:
+) -> Iterator[tuple[str, estimator.Estimator]]:
     """Fresh estimators; those whose poses are not smoothed have no use for the way back."""
-    yield MOTION_ALONE, DeadReckoning(problem), _Gained()
+    yield MOTION_ALONE, DeadReckoning(problem)
     for name, chosen in variants.items():
         smoothed = chosen.get("smoothed", False)
-        finished = {} if smoothed else {"finished": "as_left"}
-        options = parse(EkfOptions, {**chosen, **finished, "gate": False}, at=name)
-        solver = EkfEstimator(problem, options)
-        yield name, solver, _Gained(None if smoothed else solver)
+        finished = {} if smoothed else {"finished": "as_left", "observability": True}
+        yield name, EkfEstimator(problem, parse(EkfOptions, {**chosen, **finished, "gate": False}, at=name))
 
 
 def summaries(outcomes: Sequence[Mapping[str, Outcome | None]]) -> dict[str, Summary]:

@@ -62,12 +62,12 @@ def compared(config, folder, **changes):
 def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config: Config, tmp_path):
     sections = {"whole": {}, "picky": {}, "free": {"estimator": "whole", "observations": "all"}, "ekf": {}}
     outcome = compared(short_config, tmp_path, estimators=sections, frozen_by=("picky", "ekf"))
-    assert all(run.complete for run in outcome.runs.values())
+    assert all(run.complete for run in outcome.results.runs.values())
     planted = short.sequence.track == 3
     assert planted.any()
     for name in ("whole", "picky", "ekf"):
-        assert not np.any(outcome.runs[name].used & planted)
-    assert outcome.runs["free"].used.all()
+        assert not np.any(outcome.results.runs[name].used & planted)
+    assert outcome.results.runs["free"].used.all()
     # What the filter's gate refuses in its own run, on what the picky one left of it, is off the list, too.
     problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
     alone = run(
@@ -78,13 +78,13 @@ def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config:
         refused=planted,
     )
     assert alone.gated.any()
-    assert np.array_equal(outcome.runs["whole"].used, alone.used)
-    assert np.array_equal(outcome.frozen.kept, alone.used)
-    assert outcome.frozen.not_fused(outcome.runs) == {"whole": 0, "picky": 0, "ekf": 0}
+    assert np.array_equal(outcome.results.runs["whole"].used, alone.used)
+    assert np.array_equal(outcome.results.record.frozen.kept, alone.used)
+    assert outcome.results.record.frozen.not_fused(outcome.results.runs) == {"whole": 0, "picky": 0, "ekf": 0}
     # Nobody gates on the list; off it, all is as the config says.
-    assert outcome.runs["whole"].events == ("gate 1.0",)
-    assert outcome.runs["free"].events == (f"gate {short_config.gate_probability}",)
-    assert not outcome.runs["ekf"].gated.any()
+    assert outcome.results.runs["whole"].events == ("gate 1.0",)
+    assert outcome.results.runs["free"].events == (f"gate {short_config.gate_probability}",)
+    assert not outcome.results.runs["ekf"].gated.any()
 
 
 def test_the_list_has_a_name_of_its_own(short: Dataset):

@@ -49,7 +49,7 @@ def _compare(options: argparse.Namespace) -> int:
         allow_stand_in=not options.no_stand_in,
         terminal=Terminal(),
     )
-    return 0 if all(run.complete for run in outcome.runs.values()) else 1
+    return 0 if all(run.complete for run in outcome.results.runs.values()) else 1
 
 
 if __name__ == "__main__":

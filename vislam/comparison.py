@@ -1,39 +1,30 @@
-"""One comparison from config to report: open the data, run the estimators, evaluate, write."""
+"""One comparison from config to results: open the data, run the estimators, save, publish."""
 
 import hashlib
-import json
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vislam import config as configuration
 from vislam.config import Config
-from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
 from vislam.estimator import ClimbNoise, Problem
-from vislam.evaluation import Evaluation, evaluate
-from vislam.evaluation.attribution import Rung, attribute
-from vislam.files import replace_whole
+from vislam.evaluation import Evaluation
 from vislam.frozen import FrozenList
 from vislam.members import members
 from vislam.motion import MotionNoise
-from vislam.report.figures import all_figures
-from vislam.report.page import write_page
-from vislam.report.table import SHORT, comparison_table
-from vislam.run import Run
+from vislam.record import Record, Tracks
+from vislam.results import Results, announce, publish
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
-from vislam.types import Array
+from vislam.types import Array, BoolArray
 
-SCHEMA_VERSION = 1
 _ID_DIGITS = 10
 
 
@@ -42,9 +33,8 @@ class Outcome:
     """What a comparison came to."""
 
     folder: Path
-    runs: Mapping[str, Run]
+    results: Results
     evaluation: Evaluation
-    frozen: FrozenList | None
 
 
 def compare(
@@ -78,19 +68,41 @@ def compare(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
-    runner = Runner(dataset.sequence, pixel_sigma(config, dataset), config.blas_threads, terminal)
+    sigma = pixel_sigma(config, dataset)
+    held = np.zeros(dataset.sequence.observations, bool)
+    runner = Runner(dataset.sequence.select(~held), sigma[~held], config.blas_threads, terminal)
     frozen = runner.freeze(chosen, problem, by=config.frozen_by) if config.frozen_by else None
     runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
-    evaluation = evaluate(runs, dataset.reference)
-    write_results(folder, config, dataset, runs, evaluation, frozen=frozen)
-    table = comparison_table(runs, evaluation, keys=SHORT)
-    terminal.table(table, title=_title(config, dataset), path=folder / "report.html")
-    if frozen is not None:
-        terminal.note(frozen.tell(runs))
-    for name, run in runs.items():
-        if not run.complete:
-            terminal.note(f"{name} is incomplete: {run.error}")
-    return Outcome(folder, runs, evaluation, frozen)
+    results = Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
+    results.save(folder)
+    evaluation = publish(results, folder)
+    announce(results, evaluation, folder, terminal)
+    return Outcome(folder, results, evaluation)
+
+
+def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenList | None) -> Record:
+    """What is to be kept of the drive; ``held (n,)`` are the observations that no estimator was given."""
+    whole = dataset.sequence
+    given, kept_back = (Tracks.of(whole.select(mask), sigma[mask]) for mask in (~held, held))
+    return Record(
+        name=whole.name,
+        stand_in=whole.stand_in,
+        digest=whole.digest,
+        notes=dataset.notes,
+        counts={
+            **whole.counts,
+            "held_out_tracks": len(np.unique(kept_back.track)),
+            "held_out_observations": int(np.count_nonzero(held)),
+        },
+        repairs=whole.repairs,
+        stamp=whole.stamp,
+        rig=whole.rig,
+        given=given,
+        held_out=kept_back,
+        reference=dataset.reference,
+        frozen=frozen,
+        provenance=provenance(),
+    )
 
 
 def make_problem(config: Config, dataset: Dataset) -> Problem:
@@ -135,111 +147,6 @@ def result_id(config: Config, dataset: Dataset) -> str:
     """Hash of config, data and code version."""
     parts = [configuration.dump(config), dataset.sequence.digest, _code_digest()]
     return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
-
-
-def write_results(
-    folder: Path,
-    config: Config,
-    dataset: Dataset,
-    runs: Mapping[str, Run],
-    evaluation: Evaluation,
-    *,
-    frozen: FrozenList | None,
-) -> None:
-    """Write everything a comparison leaves behind, each file whole or not at all."""
-    text = configuration.dump(config)
-    with replace_whole(folder / "config.yaml") as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    for name, run in runs.items():
-        run.save(folder / "runs" / f"{name}.npz")
-        write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
-        write_kitti(folder / f"{name}_kitti.txt", run.world_T_imu)
-        write_npz(folder / f"{name}_trajectory.npz", run)
-        write_ply(folder / f"{name}.ply", run.points_world)
-    made_by = provenance()
-    rungs = attribute(config.ladder, runs, evaluation, dataset.reference)
-    write_metrics(
-        folder / "metrics.json",
-        config,
-        dataset=dataset,
-        runs=runs,
-        evaluation=evaluation,
-        rungs=rungs,
-        frozen=frozen,
-        provenance=made_by,
-    )
-    paths = {}
-    for name, figure in all_figures(runs, dataset.reference, title=_title(config, dataset)).items():
-        paths[name] = folder / "figures" / f"{name}.png"
-        with replace_whole(paths[name]) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
-    write_page(
-        folder / "report.html",
-        title=_title(config, dataset),
-        notes=dataset.notes,
-        runs=runs,
-        evaluation=evaluation,
-        rungs=rungs,
-        reference=dataset.reference,
-        counts=dataset.sequence.counts,
-        repairs=dataset.sequence.repairs,
-        frozen="" if frozen is None else frozen.tell(runs),
-        figures=paths,
-        provenance="\n".join(f"{key}: {value}" for key, value in made_by.items()),
-        config=text,
-    )
-
-
-def write_metrics(
-    path: Path,
-    config: Config,
-    *,
-    dataset: Dataset,
-    runs: Mapping[str, Run],
-    evaluation: Evaluation,
-    rungs: Sequence[Rung],
-    frozen: FrozenList | None,
-    provenance: Mapping[str, str],
-) -> None:
-    """Write ``metrics.json``."""
-    reference = dataset.reference
-    not_fused = {} if frozen is None else frozen.not_fused(runs)
-    document: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
-        "name": config.name,
-        "dataset": {
-            "name": dataset.sequence.name,
-            "stand_in": dataset.sequence.stand_in,
-            "reference": None if reference is None else reference.name,
-            "reference_limits": None if reference is None else reference.limits,
-            "digest": dataset.sequence.digest,
-            "counts": dataset.sequence.counts,
-            "repairs": [asdict(step) for step in dataset.sequence.repairs],
-            "frozen": None if frozen is None else frozen.record(),
-            "notes": list(dataset.notes),
-        },
-        "runs": {
-            name: {
-                "complete": run.complete,
-                "error": run.error,
-                "frames": len(run.stamp),
-                "counts": run.counts,
-                "listed_not_fused": not_fused.get(name),
-                "events": list(run.events),
-            }
-            for name, run in runs.items()
-        },
-        "provenance": dict(provenance),
-        "metrics": evaluation.records(),
-        "attribution": [asdict(rung) for rung in rungs],
-    }
-    with replace_whole(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-def _title(config: Config, dataset: Dataset) -> str:
-    mark = " [SIMULATED]" if dataset.sequence.stand_in else ""
-    return f"vislam {config.name}: {dataset.sequence.name}{mark}"
 
 
 def provenance() -> dict[str, str]:

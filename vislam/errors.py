@@ -11,3 +11,9 @@ class DataError(ValueError):
 
 class DivergedError(RuntimeError):
     """An estimator that lost its covariance or its solution; the message names the frame."""
+
+
+def first_line(error: Exception) -> str:
+    """First line of what an error says, without the path that an OSError repeats."""
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return next((line for line in said.splitlines() if line.strip()), type(error).__name__)

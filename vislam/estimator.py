@@ -98,6 +98,9 @@ class StepRecord:
         Which of the frame's observations were fused, as far as is known at the frame.
     gated : (n,)
         Which of them the estimator itself refused.
+    world_gained : (6,) or None
+        Information that the step gained on motions (omega, v) of the world, by the estimator's own Jacobians:
+        more than none is information from nowhere [1/rad^2, 1/m^2]. None where it is not measured.
     """
 
     world_T_imu: Array
@@ -109,6 +112,7 @@ class StepRecord:
     log_likelihood: float
     used: BoolArray
     gated: BoolArray
+    world_gained: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -240,6 +244,7 @@ def run(
         name=name,
         error=error,
         frames_expected=len(sequence),
+        frame=np.arange(done),
         stamp=np.array(sequence.stamp[:done]),
         world_T_imu=poses,
         world_T_imu_causal=causal,
@@ -250,6 +255,7 @@ def run(
         nis=np.array([record.nis for record in records]),
         dof=np.array([record.dof for record in records], dtype=np.int64),
         log_likelihood=np.array([record.log_likelihood for record in records]),
+        world_gained=_stack([record.world_gained for record in records], (6,)),
         step_time=np.array(step_time),
         total_time=total,
         peak_rss=memory.peak,

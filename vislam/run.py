@@ -1,13 +1,12 @@
 """A finished run of an estimator: all that evaluation ever sees of it, saved and loaded as one file."""
 
-import json
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from vislam.files import replace_whole
+from vislam.errors import DataError, first_line
+from vislam.files import load_archive, save_archive
 from vislam.geometry import se3, so3
 from vislam.types import Array, BoolArray, IntArray
 
@@ -22,8 +21,10 @@ class Run:
     error : str
         Why it stopped early; empty for a complete run.
     frames_expected : int
+    frame : (T,)
+        Indices of the frames it has poses of, increasing; of an estimator's, the first T.
     stamp : (T,)
-        Camera times of the frames it finished [s].
+        Camera times of these frames [s].
     world_T_imu, world_T_imu_causal : (T, 4, 4)
         Poses as known in the end, and as known at their own time.
     pose_cov, pose_cov_causal : (T, 6, 6)
@@ -34,6 +35,9 @@ class Run:
         Normalised innovation squared and its degrees of freedom.
     log_likelihood : (T,)
         Logarithm of the density of the innovations; NaN where not given.
+    world_gained : (T, 6)
+        Information gained at each frame on motions (omega, v) of the world, which no measurement can tell, by
+        the estimator's own Jacobians [1/rad^2, 1/m^2]; NaN where not given.
     step_time : (T,)
         Time of each step [s].
     total_time : float
@@ -55,6 +59,7 @@ class Run:
     name: str
     error: str
     frames_expected: int
+    frame: IntArray
     stamp: Array
     world_T_imu: Array
     world_T_imu_causal: Array
@@ -65,6 +70,7 @@ class Run:
     nis: Array
     dof: IntArray
     log_likelihood: Array
+    world_gained: Array
     step_time: Array
     total_time: float
     peak_rss: int
@@ -110,14 +116,17 @@ class Run:
                 arrays[item.name] = value
             else:
                 plain[item.name] = value
-        with replace_whole(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, plain=np.array(json.dumps(plain)), **arrays)
+        save_archive(path, plain, arrays)
 
     @classmethod
     def load(cls, path: Path) -> "Run":
-        """Read a saved run."""
-        with np.load(path) as archive:
-            values: dict[str, Any] = json.loads(str(archive["plain"]))
-            values.update({key: archive[key] for key in archive.files if key != "plain"})
-        # JSON has no tuples, and a run saved before there were events has none.
-        return cls(**{**values, "events": tuple(values.get("events", ()))})
+        """Read a saved run; DataError if it is none."""
+        try:
+            plain, arrays = load_archive(path)
+            # JSON has no tuples.
+            return cls(**{**plain, **arrays, "events": tuple(plain["events"])})
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DataError(
+                f"{path}: expected a run as this version of vislam saves it, got {first_line(error)}; "
+                "run the comparison again"
+            ) from None

@@ -78,6 +78,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     wanted = {
         "config.yaml",
         "metrics.json",
+        "record.npz",
         "report.html",
         "figures/top_view.png",
         "figures/nis.png",

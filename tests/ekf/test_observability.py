@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from vislam import estimator
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.ekf import EkfEstimator, EkfOptions, observability
 from vislam.ekf.linear import Update
 from vislam.ekf.measurement import View
-from vislam.ekf.observability import Unobservable
 from vislam.ekf.state import JointState
 
 NOTHING = 1e-9
@@ -16,17 +16,11 @@ NOTHING = 1e-9
 
 def gained(dataset, config, **options):
     """Information ``(6,)`` gained over all frames."""
-    estimator = EkfEstimator(
-        make_problem(config, dataset), EkfOptions(gate=False, finished="as_left", **options)
-    )
-    estimator.state.steps = []
-    followed, total = Unobservable(), np.zeros(6)
-    for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
-        estimator.process(frame, np.zeros(len(frame.track), bool))
-        total += followed.follow(estimator.state.steps)
-        estimator.state.steps.clear()
-    assert followed.directions.shape == (len(estimator.state.cov), 6)
-    return total
+    options = {"gate": False, "finished": "as_left", "observability": True, **options}
+    solver = EkfEstimator(make_problem(config, dataset), EkfOptions(**options))
+    run = estimator.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
+    assert run.complete
+    return run.world_gained.sum(axis=0)
 
 
 @pytest.mark.parametrize("landmarks", ["point", "disparity"])
@@ -63,13 +57,20 @@ def test_coordinates_that_are_not_reset_are_seen(short, short_config, monkeypatc
     assert np.all(gained(short, short_config, error="invariant") > 1e-3 * standard)
 
 
+def test_the_way_back_takes_nothing_from_the_meter(short, short_config):
+    """Steps are kept for it as well."""
+    alone = gained(short, short_config)
+    assert np.array_equal(gained(short, short_config, finished="smoothed"), alone)
+    assert np.array_equal(gained(short, short_config, finished="smoothed", memory_mb=0.1), alone)
+
+
 def test_the_noise_of_an_update_is_found_in_it(short, short_config):
     problem = make_problem(short_config, short)
-    estimator = EkfEstimator(problem, EkfOptions(gate=False))
+    solver = EkfEstimator(problem, EkfOptions(gate=False))
     updates = 0
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
-        estimator.process(frame, np.zeros(len(frame.track), bool))
-    for step in estimator.state.steps:
+        solver.process(frame, np.zeros(len(frame.track), bool))
+    for step in solver.state.steps:
         if isinstance(step, Update):
             white = observability._white(step).reshape(-1, 3)
             assert np.allclose(white, problem.track_noise.sigma**2, rtol=1e-6)

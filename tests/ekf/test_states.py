@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
+from tests.records import made_record
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ClimbConfig, Config, DataConfig
 from vislam.data.source import Dataset, open_dataset
@@ -124,7 +125,7 @@ def test_the_climb_rate_holds_the_height(short_config: Config, options):
     true_up = dataset.reference.pose[0, 2, :3]
     sigma = np.sqrt(np.diagonal(estimator.state.cov)[TILT])
     assert np.linalg.norm(with_climb.up - true_up) < 4.0 * np.linalg.norm(sigma) + 0.003
-    metrics = evaluate({"ekf": with_climb}, None)
+    metrics = evaluate({"ekf": with_climb}, made_record())
     assert np.isclose(metrics.value("ekf", "height_end"), found[-1])
 
 
@@ -147,7 +148,7 @@ def test_robust_weights_bear_outliers_that_nothing_gates(short_config: Config, r
     plain, _ = filtered(config, dataset, gate=False)
     weighted, _ = filtered(config, dataset, gate=False, robust=robust)
     runs = {"plain": replace(plain, name="plain"), "robust": replace(weighted, name="robust")}
-    score = evaluate(runs, dataset.reference)
+    score = evaluate(runs, made_record(dataset.reference))
     assert score.value("robust", "ate_rmse") < 0.7 * score.value("plain", "ate_rmse")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
+from tests.records import made_record
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import attribute
@@ -57,4 +58,4 @@ def test_an_incomplete_run_is_no_rung_to_stand_on():
 
 def test_without_a_reference_nobody_knows():
     runs, _ = made_ladder("ate_rmse")
-    assert attribute(LADDER, runs, evaluate(runs, None), None) == []
+    assert attribute(LADDER, runs, evaluate(runs, made_record()), None) == []

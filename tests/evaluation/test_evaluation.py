@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from tests.records import made_record
 from vislam.data.reference import Reference, truth_reference
 from vislam.evaluation import evaluate
 from vislam.evaluation.alignment import align
@@ -28,6 +29,7 @@ def made_run(name, pose, **values):
         "name": name,
         "error": "",
         "frames_expected": frames,
+        "frame": np.arange(frames),
         "stamp": 0.1 * np.arange(frames),
         "world_T_imu": pose,
         "world_T_imu_causal": pose,
@@ -38,6 +40,7 @@ def made_run(name, pose, **values):
         "nis": np.zeros(frames),
         "dof": np.zeros(frames, np.int64),
         "log_likelihood": np.zeros(frames),
+        "world_gained": np.full((frames, 6), np.nan),
         "step_time": np.full(frames, 0.002),
         "total_time": 1.0,
         "peak_rss": 10**8,
@@ -111,7 +114,7 @@ def test_metrics_of_two_runs_and_a_planar_reference():
         "a": made_run("a", truth, nis=np.full(400, 6.0), dof=np.full(400, 3, np.int64)),
         "b": made_run("b", shifted, points_world=np.eye(3) + np.array([2.0, 0.0, 0.0])),
     }
-    found = evaluate(runs, reference)
+    found = evaluate(runs, made_record(reference))
     assert found.value("a", "ate_planar_rmse") < 1e-9
     assert found.value("b", "ate_planar_rmse") < 1e-9
     assert found.value("a", "ate_rmse") is None
@@ -127,7 +130,7 @@ def test_metrics_of_two_runs_and_a_planar_reference():
 def test_an_incomplete_run_is_scored_on_what_it_finished():
     truth = circle()
     run = made_run("half", truth[:200], error="frame 200: lost", frames_expected=400)
-    assert evaluate({"half": run}, of_truth(truth)).value("half", "ate_rmse") < 1e-9
+    assert evaluate({"half": run}, made_record(of_truth(truth))).value("half", "ate_rmse") < 1e-9
 
 
 def test_a_run_survives_its_file(tmp_path):
@@ -147,4 +150,6 @@ def test_landmarks_are_scored_against_the_truth_from_the_first_pose(rng):
     truth, motion = circle(), se3.exp(rng.normal(size=6))
     off = np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.0], [0.2, 0.0, 0.0]])
     run = made_run("a", motion @ truth, points_world=se3.transform(motion, np.eye(3) + off))
-    assert evaluate({"a": run}, of_truth(truth)).value("a", "map_error_median") == pytest.approx(0.2)
+    assert evaluate({"a": run}, made_record(of_truth(truth))).value("a", "map_error_median") == pytest.approx(
+        0.2
+    )

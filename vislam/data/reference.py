@@ -25,6 +25,8 @@ class Reference:
         Where the reference point sits in the body.
     track, points_world : (j,), (j, 3)
         True landmarks of a simulation [m]; empty elsewhere.
+    bias : (6,) or None
+        True bias of a simulation's inertial samples (omega, v) [rad/s, m/s].
     """
 
     name: str
@@ -35,6 +37,7 @@ class Reference:
     imu_T_point: Array
     track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
+    bias: Array | None = None
 
     @property
     def planar(self) -> bool:
@@ -42,7 +45,9 @@ class Reference:
         return self.position.shape[1] == 2
 
 
-def truth_reference(world_T_imu: Array, track: IntArray, points_world: Array) -> Reference:
+def truth_reference(
+    world_T_imu: Array, track: IntArray, points_world: Array, *, bias: Array | None = None
+) -> Reference:
     """Reference of a simulation: its exact truth.
 
     Parameters
@@ -50,6 +55,8 @@ def truth_reference(world_T_imu: Array, track: IntArray, points_world: Array) ->
     world_T_imu : (T, 4, 4)
     track, points_world : (j,), (j, 3)
         True landmarks [m].
+    bias : (6,), optional
+        True bias of the inertial samples (omega, v) [rad/s, m/s].
     """
     return Reference(
         name="truth",
@@ -60,4 +67,5 @@ def truth_reference(world_T_imu: Array, track: IntArray, points_world: Array) ->
         imu_T_point=np.eye(4),
         track=track,
         points_world=points_world,
+        bias=bias,
     )

@@ -153,7 +153,7 @@ def _simulated(config: DataConfig, seed: int) -> Dataset:
     points = truth.points_world[sequence.row[first]]
     notes = (f"SIMULATED: {name}, no recorded data was used",)
     _log.warning(notes[0])
-    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points), notes)
+    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points, bias=truth.bias), notes)
 
 
 def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:

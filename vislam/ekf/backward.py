@@ -92,6 +92,8 @@ class Recorder:
         Frames that had to be computed once more.
     peak : int
         Most memory that was held [bytes].
+    latest : list of Step
+        The steps of the last frame.
     """
 
     def __init__(self, advance: Advance, *, memory: int) -> None:
@@ -102,6 +104,7 @@ class Recorder:
         self._held = 0
         self.again = 0
         self.peak = 0
+        self.latest: list[Step] = []
 
     def take(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
         """Advance the state by a frame, and record its steps."""
@@ -114,7 +117,8 @@ class Recorder:
         before = len(current.steps)
         record = self._advance(state, frame, refused)
         current.inputs.append((frame, refused))
-        added = sum(step.nbytes for step in current.steps[before:])
+        self.latest = current.steps[before:]
+        added = sum(step.nbytes for step in self.latest)
         current.nbytes += added
         self._held += added
         self.peak = max(self.peak, self._held)

@@ -1,6 +1,6 @@
 """EKF SLAM, one frame at a time: retire, predict, gate, update, initialise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -12,6 +12,7 @@ from vislam.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
 from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.measurement import Camera, View, up_axis
+from vislam.ekf.observability import Unobservable
 from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
 from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
@@ -58,6 +59,7 @@ class EkfEstimator:
         self._recorder: Recorder | None = None
         if options.finished == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
+        self._meter = Unobservable() if options.observability else None
         self._left: list[Landmarks] = []
         self._poses: list[Array] = []
         self._matches: list[Array] = []
@@ -65,12 +67,15 @@ class EkfEstimator:
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
         self._see_off(_places(self.state.track, frame.track) >= 0)
-        if self._recorder is None:
-            record = self._advance(self.state, frame, refused)
-        else:
+        if self._recorder is not None:
             record = self._recorder.take(self.state, frame, refused)
+            steps = self._recorder.latest
+        else:
+            steps = []
+            self.state.steps = steps if self._meter is not None else None
+            record = self._advance(self.state, frame, refused)
         self._poses.append(self.state.world_T_imu)
-        return record
+        return record if self._meter is None else replace(record, world_gained=self._meter.follow(steps))
 
     def finalize(self) -> Estimate:
         """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""

@@ -33,6 +33,9 @@ class EkfOptions:
     nothing."""
     smoothed: bool = False
     """Let the poses, too, know what came after them."""
+    observability: bool = False
+    """Measure what the filter believes to learn of where the world is, which no measurement can tell; takes
+    half as long again."""
     memory_mb: Positive = 1024.0
     """Memory for the way back over the steps. What does not fit is computed once more."""
 

@@ -10,6 +10,7 @@ from vislam.data.reference import Reference
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
 from vislam.geometry import se3
+from vislam.record import Record
 from vislam.run import Run
 from vislam.types import Array
 
@@ -57,15 +58,17 @@ def headline(reference: Reference) -> str:
     return "ate_planar_rmse" if reference.planar else "ate_rmse"
 
 
-def evaluate(runs: Mapping[str, Run], reference: Reference | None) -> Evaluation:
+def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
     """Score runs, in their order.
 
     Parameters
     ----------
     runs : mapping of name to Run
         Incomplete runs are scored on the frames they finished.
-    reference : Reference or None
+    record : Record
+        Of the drive behind them.
     """
+    reference = record.reference
     metrics: list[Metric] = []
     # What is planar, or a height, is so against the vertical, where a run knows it.
     for run in (run.levelled() for run in runs.values()):
@@ -122,6 +125,10 @@ def _of_itself(run: Run) -> list[Metric]:
     ]
     if run.dof.sum() > 0:
         metrics.append(Metric(run.name, "nis_per_dof", run.nis_per_dof, "1"))
+    metrics.append(Metric(run.name, "frames", float(len(run.stamp)), "1"))
+    if not len(run.step_time):
+        # From elsewhere: nobody knows how it was made.
+        return metrics
     for key, percentile in _SPEED_KEYS.items():
         metrics.append(Metric(run.name, key, float(1e3 * np.percentile(run.step_time, percentile)), "ms"))
     metrics += [
@@ -130,7 +137,6 @@ def _of_itself(run: Run) -> list[Metric]:
         Metric(run.name, "landmarks", float(len(run.track)), "1"),
         Metric(run.name, "observations_used", float(run.used.sum()), "1"),
         Metric(run.name, "observations_gated", float(run.gated.sum()), "1"),
-        Metric(run.name, "frames", float(len(run.stamp)), "1"),
     ]
     return metrics
 

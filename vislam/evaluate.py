@@ -1,0 +1,50 @@
+"""``python -m vislam.evaluate results/<id>``: score saved runs again, beside trajectories from elsewhere.
+
+Exit codes: 0 done, 1 an estimator had failed, 2 bad results or trajectory.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from vislam.command import answer
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    return answer(lambda: _evaluate(options), verbose=options.verbose)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m vislam.evaluate", description=__doc__)
+    add = parser.add_argument
+    add("results", type=Path, help="results folder of a comparison")
+    add(
+        "--trajectory",
+        action="append",
+        default=[],
+        metavar="NAME=FILE[,format=tum][,pose_of=imu][,up=z]",
+        help="a trajectory from elsewhere as one more column: format tum, euroc, kitti or kitti360; pose_of "
+        "imu or left_camera; up z or -y (a world with a camera's axes)",
+    )
+    add("--out", type=Path, help="folder for metrics, figures and report (default: the results folder)")
+    add("--verbose", action="store_true", help="log what is read and dropped")
+    return parser
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    # Heavy imports follow the parsing, so that --help answers at once.
+    from vislam.external import with_trajectories  # noqa: PLC0415
+    from vislam.results import Results, announce, publish  # noqa: PLC0415
+    from vislam.terminal import Terminal  # noqa: PLC0415
+
+    results = with_trajectories(Results.load(options.results), options.trajectory)
+    folder = options.out or options.results
+    announce(results, publish(results, folder), folder, Terminal())
+    return 0 if all(run.complete for run in results.runs.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""A results folder: what runs leave in it, and all that is computed from that, now or years later."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from vislam import config as configuration
+from vislam.config import Config
+from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
+from vislam.errors import DataError
+from vislam.evaluation import Evaluation, evaluate
+from vislam.evaluation.attribution import Rung, attribute
+from vislam.files import replace_whole
+from vislam.record import Record
+from vislam.report.figures import all_figures
+from vislam.report.page import write_page
+from vislam.report.table import SHORT, comparison_table
+from vislam.run import Run
+from vislam.terminal import Terminal
+
+SCHEMA_VERSION = 1
+RECORD = "record.npz"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a comparison has done, before anything is made of it.
+
+    Attributes
+    ----------
+    config : Config
+    record : Record
+    runs : dict of name to Run
+        In their order.
+    """
+
+    config: Config
+    record: Record
+    runs: dict[str, Run]
+
+    @property
+    def title(self) -> str:
+        """Title of tables and figures."""
+        mark = " [SIMULATED]" if self.record.stand_in else ""
+        return f"vislam {self.config.name}: {self.record.name}{mark}"
+
+    def frozen_told(self) -> str:
+        """What there is to say of the frozen list; nothing without one."""
+        return "" if self.record.frozen is None else self.record.frozen.tell(self._own())
+
+    def not_fused(self) -> dict[str, int]:
+        """How many observations of the frozen list each run that is bound to it did not fuse."""
+        return {} if self.record.frozen is None else self.record.frozen.not_fused(self._own())
+
+    def _own(self) -> dict[str, Run]:
+        return {name: run for name, run in self.runs.items() if name in self.config.estimators}
+
+    def save(self, folder: Path) -> None:
+        """Write config, record and runs, and trajectories and maps for others; each whole or not at all."""
+        with replace_whole(folder / "config.yaml") as temporary:
+            temporary.write_text(configuration.dump(self.config), encoding="utf-8")
+        self.record.save(folder / RECORD)
+        for name, run in self.runs.items():
+            run.save(folder / "runs" / f"{name}.npz")
+            write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
+            write_kitti(folder / f"{name}_kitti.txt", run.world_T_imu)
+            write_npz(folder / f"{name}_trajectory.npz", run)
+            write_ply(folder / f"{name}.ply", run.points_world)
+
+    @classmethod
+    def load(cls, folder: Path) -> "Results":
+        """Read what :meth:`save` wrote; DataError if it is not there."""
+        path = folder / "config.yaml"
+        if not path.is_file():
+            raise DataError(
+                f"{folder}: expected the results folder of a comparison, got no config.yaml in it; "
+                "name the folder that vislam.compare printed"
+            )
+        config, record = configuration.load(path), Record.load(folder / RECORD)
+        return cls(
+            config, record, {name: Run.load(folder / "runs" / f"{name}.npz") for name in config.estimators}
+        )
+
+
+def publish(results: Results, folder: Path) -> Evaluation:
+    """Score saved runs and write ``metrics.json``, figures and report.
+
+    Nothing but what is in the results enters, so whoever reads them from their folder gets the same bytes.
+    """
+    config, record, runs = results.config, results.record, results.runs
+    evaluation = evaluate(runs, record)
+    rungs = attribute(config.ladder, runs, evaluation, record.reference)
+    with replace_whole(folder / "metrics.json") as temporary:
+        document = metrics_document(results, evaluation, rungs)
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    paths = {}
+    for name, figure in all_figures(runs, record.reference, title=results.title).items():
+        paths[name] = folder / "figures" / f"{name}.png"
+        with replace_whole(paths[name]) as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+    write_page(
+        folder / "report.html",
+        title=results.title,
+        notes=record.notes,
+        runs=runs,
+        evaluation=evaluation,
+        rungs=rungs,
+        reference=record.reference,
+        counts=record.counts,
+        repairs=record.repairs,
+        frozen=results.frozen_told(),
+        figures=paths,
+        provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
+        config=configuration.dump(config),
+    )
+    return evaluation
+
+
+def metrics_document(results: Results, evaluation: Evaluation, rungs: Sequence[Rung]) -> dict[str, Any]:
+    """Plain data of ``metrics.json``."""
+    record, reference, not_fused = results.record, results.record.reference, results.not_fused()
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": results.config.name,
+        "dataset": {
+            "name": record.name,
+            "stand_in": record.stand_in,
+            "reference": None if reference is None else reference.name,
+            "reference_limits": None if reference is None else reference.limits,
+            "digest": record.digest,
+            "counts": record.counts,
+            "repairs": [asdict(step) for step in record.repairs],
+            "frozen": None if record.frozen is None else record.frozen.record(),
+            "notes": list(record.notes),
+        },
+        "runs": {
+            name: {
+                "complete": run.complete,
+                "error": run.error,
+                "frames": len(run.stamp),
+                "counts": run.counts,
+                "listed_not_fused": not_fused.get(name),
+                "events": list(run.events),
+            }
+            for name, run in results.runs.items()
+        },
+        "provenance": dict(record.provenance),
+        "metrics": evaluation.records(),
+        "attribution": [asdict(rung) for rung in rungs],
+    }
+
+
+def announce(results: Results, evaluation: Evaluation, folder: Path, terminal: Terminal) -> None:
+    """Print the closing table, where the report is, and what must not be overlooked."""
+    table = comparison_table(results.runs, evaluation, keys=SHORT)
+    terminal.table(table, title=results.title, path=folder / "report.html")
+    if told := results.frozen_told():
+        terminal.note(told)
+    for name, run in results.runs.items():
+        if not run.complete:
+            terminal.note(f"{name} is incomplete: {run.error}")
