@@ -148,6 +148,16 @@ class NoiseConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class HeldOutConfig:
+    """Tracks that are kept from every estimator; afterwards they say how well each predicts them."""
+
+    share: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """Chance of each track to be held out; 0: none is, and nothing is scored by them."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the choice."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Config:
     """One comparison."""
 
@@ -157,6 +167,8 @@ class Config:
     """The data."""
     noise: NoiseConfig = NoiseConfig()
     """Noise and prior of every estimator."""
+    held_out: HeldOutConfig = HeldOutConfig()
+    """What is kept from every estimator, to score them by without a reference."""
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
     """Share of good observations that the chi-square gate lets pass."""
     gates_from: str | None = "ekf"
