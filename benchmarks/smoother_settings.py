@@ -14,7 +14,9 @@ import numpy as np
 from benchmarks.smoother_figure import steps
 from benchmarks.smoothing import Smoothed, smoothed
 from benchmarks.timing import Drive, Part, milliseconds
-from vislam.evaluation import trajectory
+from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.association import associate
+from vislam.evaluation.trajectory import ate
 from vislam.files import replace_whole
 from vislam.smoother import SmootherOptions
 from vislam.smoother.family import MEMBERS
@@ -152,7 +154,10 @@ def distance(one: Array, other: Array) -> float:
 
 def _ate(drive: Drive, poses: Array) -> float | None:
     reference = drive.dataset.reference
-    return None if reference is None else trajectory.match(poses, reference, planar=reference.planar).ate
+    if reference is None:
+        return None
+    matched = associate(np.arange(len(poses)), drive.dataset.sequence.stamp[: len(poses)], poses, reference)
+    return ate(matched, find_alignment("planar" if reference.planar else "se3", matched)).position.rmse
 
 
 def _metres(value: float | None) -> str:

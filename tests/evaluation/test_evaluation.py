@@ -8,8 +8,7 @@ import pytest
 from tests.records import made_record
 from vislam.data.reference import Reference, truth_reference
 from vislam.evaluation import evaluate
-from vislam.evaluation.alignment import align
-from vislam.evaluation.trajectory import kitti_drift, match, path_length
+from vislam.evaluation.trajectory import path_length
 from vislam.geometry import se3
 from vislam.run import Run
 
@@ -56,53 +55,6 @@ def made_run(name, pose, **values):
 
 def of_truth(pose):
     return truth_reference(pose, np.arange(3), np.eye(3))
-
-
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_alignment_undoes_a_rigid_motion(rng, dimensions):
-    points = rng.normal(size=(30, dimensions))
-    rotation = np.linalg.qr(rng.normal(size=(dimensions, dimensions)))[0]
-    rotation[:, 0] *= np.sign(np.linalg.det(rotation))
-    found, shift = align(points, points @ rotation.T + 3.0)
-    assert np.allclose(found, rotation)
-    assert np.allclose(shift, 3.0)
-
-
-def test_alignment_never_mirrors(rng):
-    points = rng.normal(size=(30, 2))
-    rotation, _ = align(points, points * [1.0, -1.0])
-    assert np.linalg.det(rotation) > 0.999
-
-
-def test_a_moved_trajectory_has_no_error_and_a_noisy_one_its_noise(rng):
-    truth = circle()
-    moved = se3.exp(rng.normal(size=6)) @ truth
-    assert match(moved, of_truth(truth), planar=False).ate < 1e-9
-    noisy = truth.copy()
-    noisy[:, :3, 3] += 0.3 * rng.normal(size=(400, 3))
-    assert match(noisy, of_truth(truth), planar=False).ate == pytest.approx(0.3 * np.sqrt(3), rel=0.1)
-
-
-def test_kitti_drift_of_a_scaled_straight_line():
-    truth = np.tile(np.eye(4), (1000, 1, 1))
-    truth[:, 0, 3] = np.arange(1000.0)
-    scaled = truth.copy()
-    scaled[:, 0, 3] *= 1.02
-    t_rel, r_rel = kitti_drift(scaled, truth)
-    # A segment ends at the first frame beyond its length, one frame late at the most.
-    assert t_rel == pytest.approx(2.0, rel=0.02)
-    assert r_rel == pytest.approx(0.0, abs=1e-9)
-    assert kitti_drift(scaled[:50], truth[:50]) is None
-
-
-def test_kitti_drift_of_a_steady_turn():
-    truth = np.tile(np.eye(4), (500, 1, 1))
-    truth[:, 0, 3] = np.arange(500.0)
-    turning = np.zeros((500, 6))
-    turning[:, 2] = np.deg2rad(0.01) * np.arange(500)
-    bent = truth.copy()
-    bent[:, :3, :3] = se3.exp(turning)[:, :3, :3]
-    assert kitti_drift(bent, truth)[1] == pytest.approx(1.0, rel=0.02)
 
 
 def test_metrics_of_two_runs_and_a_planar_reference():

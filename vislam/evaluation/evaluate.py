@@ -8,7 +8,9 @@ import numpy as np
 
 from vislam.data.reference import Reference
 from vislam.evaluation import trajectory
-from vislam.evaluation.alignment import align
+from vislam.evaluation.alignment import align, find_alignment
+from vislam.evaluation.association import associate
+from vislam.evaluation.kitti import kitti_drift
 from vislam.geometry import se3
 from vislam.record import Record
 from vislam.run import Run
@@ -85,21 +87,20 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
 def _against_reference(run: Run, reference: Reference) -> list[Metric]:
     name = reference.name
     found = []
+    frame = np.arange(len(run.stamp))
     for suffix, poses in (("", run.world_T_imu), ("_causal", run.world_T_imu_causal)):
-        if np.count_nonzero(reference.frame < len(poses)) < 3:
+        matched = associate(frame, run.stamp, poses, reference)
+        if len(matched.frame) < 3:
             continue
-        planar = trajectory.match(poses, reference, planar=True)
-        found.append(Metric(run.name, f"ate_planar_rmse{suffix}", planar.ate, "m", name))
+        planar = trajectory.ate(matched, find_alignment("planar", matched))
+        found.append(Metric(run.name, f"ate_planar_rmse{suffix}", planar.position.rmse, "m", name))
         if not reference.planar:
-            full = trajectory.match(poses, reference, planar=False)
-            found.append(Metric(run.name, f"ate_rmse{suffix}", full.ate, "m", name))
-        if reference.pose is not None:
-            inside = reference.frame < len(poses)
-            moved = poses[reference.frame[inside]] @ reference.imu_T_point
-            drift = trajectory.kitti_drift(moved, reference.pose[inside])
-            if drift is not None:
-                found.append(Metric(run.name, f"kitti_t_rel{suffix}", drift[0], "%", name))
-                found.append(Metric(run.name, f"kitti_r_rel{suffix}", drift[1], "deg/100m", name))
+            full = trajectory.ate(matched, find_alignment("se3", matched))
+            found.append(Metric(run.name, f"ate_rmse{suffix}", full.position.rmse, "m", name))
+        drift = kitti_drift(matched)
+        if drift is not None:
+            found.append(Metric(run.name, f"kitti_t_rel{suffix}", drift.t_rel, "%", name))
+            found.append(Metric(run.name, f"kitti_r_rel{suffix}", drift.r_rel, "deg/100m", name))
     return found + _map_error(run, reference)
 
 

@@ -1,55 +1,72 @@
-"""Trajectory errors: ATE, path length and the drift that KITTI's odometry benchmark defines."""
+"""Errors of a whole trajectory: ATE of positions and rotations, path length, drift at the end."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from vislam.data.reference import Reference
-from vislam.evaluation.alignment import align
-from vislam.geometry import se3, so3
+from vislam.evaluation.alignment import Alignment, find_alignment
+from vislam.evaluation.association import Matched, distance_along
+from vislam.geometry import so3
 from vislam.types import Array, IntArray
-
-KITTI_LENGTHS = tuple(range(100, 900, 100))
-"""Segment lengths of the KITTI odometry benchmark [m]."""
-_KITTI_STRIDE = 10
 
 
 @dataclass(frozen=True)
-class Aligned:
-    """An estimate matched with a reference and rigidly aligned to it.
+class Statistics:
+    """What is told of many errors; their unit is its unit."""
+
+    rmse: float
+    mean: float
+    median: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Array) -> "Statistics":
+        """Statistics of errors ``(n,)`` that are not negative, n at least 1."""
+        return cls(
+            rmse=float(np.sqrt(np.mean(values**2))),
+            mean=float(values.mean()),
+            median=float(np.median(values)),
+            max=float(values.max()),
+        )
+
+
+@dataclass(frozen=True)
+class AbsoluteErrors:
+    """Errors of an aligned estimate, frame by frame.
 
     Attributes
     ----------
     frame : (m,)
-    error : (m, d)
-        Position errors [m], d = 2 where the reference is planar.
-    rotation : (d, d)
-    translation : (d,)
-        The alignment.
-    planar : bool
+    position_error : (m, d)
+        Estimate less reference [m]; d = 2 if the reference or the alignment is planar.
+    rotation_error : (m,) or None
+        Angle between the two attitudes [rad], 0 to pi; None for a reference without poses.
     """
 
     frame: IntArray
-    error: Array
-    rotation: Array
-    translation: Array
-    planar: bool
+    position_error: Array
+    rotation_error: Array | None
 
     @property
-    def ate(self) -> float:
-        """Root mean square of the position error [m]."""
-        return float(np.sqrt(np.mean(np.sum(self.error**2, axis=1))))
+    def position(self) -> Statistics:
+        """Of the lengths of the position errors [m]; its ``rmse`` is what is called the ATE."""
+        return Statistics.of(np.linalg.norm(self.position_error, axis=1))
+
+    @property
+    def rotation(self) -> Statistics | None:
+        """Of the rotation errors [rad]."""
+        return None if self.rotation_error is None else Statistics.of(self.rotation_error)
 
 
-def match(world_T_imu: Array, reference: Reference, *, planar: bool) -> Aligned:
-    """Match by frame, move to the reference's point, align rigidly."""
-    inside = reference.frame < len(world_T_imu)
-    frame = reference.frame[inside]
-    dimensions = 2 if planar else 3
-    estimate = (world_T_imu[frame] @ reference.imu_T_point)[:, :dimensions, 3]
-    target = reference.position[inside][:, :dimensions]
-    rotation, translation = align(estimate, target)
-    return Aligned(frame, estimate @ rotation.T + translation - target, rotation, translation, planar)
+def ate(matched: Matched, alignment: Alignment) -> AbsoluteErrors:
+    """Absolute trajectory errors. Sturm et al. (IROS 2012), and the same for rotations."""
+    poses = alignment.transform_poses(matched.estimate)
+    dimensions = 2 if matched.planar or alignment.kind == "planar" else 3
+    turn = None
+    if matched.pose is not None:
+        apart = np.swapaxes(poses[:, :3, :3], 1, 2) @ matched.pose[:, :3, :3]
+        turn = np.linalg.norm(so3.log(apart), axis=1)
+    return AbsoluteErrors(matched.frame, poses[:, :dimensions, 3] - matched.position[:, :dimensions], turn)
 
 
 def path_length(world_T_imu: Array) -> float:
@@ -59,36 +76,15 @@ def path_length(world_T_imu: Array) -> float:
 
 def distance_driven(world_T_imu: Array) -> Array:
     """Distance along the path at each pose, ``(T,)`` [m]."""
-    steps = np.linalg.norm(np.diff(world_T_imu[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return distance_along(world_T_imu[:, :3, 3])
 
 
-def kitti_drift(estimate: Array, reference: Array) -> tuple[float, float] | None:
-    """Mean relative drift over segments of 100 to 800 m, as the KITTI odometry kit defines it.
+def final_drift(matched: Matched) -> float | None:
+    """Position error at the end, with the first pose on the reference's, over the length of the way [%].
 
-    Parameters
-    ----------
-    estimate, reference : (m, 4, 4)
-        Matched poses of consecutive frames, same point, same axes.
-
-    Returns
-    -------
-    t_rel, r_rel : float
-        Translation drift [%] and rotation drift [deg/100 m]; None if no segment is long enough.
+    None if the reference has no poses or does not move.
     """
-    driven = distance_driven(reference)
-    drifts = []
-    for first in range(0, len(reference), _KITTI_STRIDE):
-        for length in KITTI_LENGTHS:
-            last = int(np.searchsorted(driven, driven[first] + length, side="right"))
-            if last >= len(reference):
-                break
-            wanted = se3.inverse(reference[first]) @ reference[last]
-            got = se3.inverse(estimate[first]) @ estimate[last]
-            error = se3.inverse(got) @ wanted
-            turn = float(np.linalg.norm(so3.log(error[:3, :3])))
-            drifts.append((float(np.linalg.norm(error[:3, 3])) / length, turn / length))
-    if not drifts:
+    if matched.pose is None or not len(matched.frame) or matched.driven[-1] == matched.driven[0]:
         return None
-    translation, rotation = np.mean(drifts, axis=0)
-    return float(100.0 * translation), float(np.rad2deg(100.0 * rotation))
+    last = ate(matched, find_alignment("first_pose", matched)).position_error[-1]
+    return float(100.0 * np.linalg.norm(last) / (matched.driven[-1] - matched.driven[0]))

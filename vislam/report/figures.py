@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from vislam.data.reference import Reference
-from vislam.evaluation.trajectory import distance_driven, match
+from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.association import Matched, associate
+from vislam.evaluation.trajectory import ate, distance_driven
 from vislam.run import Run
 from vislam.types import Array
 
@@ -50,9 +52,10 @@ def top_view(runs: Mapping[str, Run], reference: Reference | None, *, title: str
     axes = figure.subplots()
     for name, run in runs.items():
         rotation, translation = np.eye(2), np.zeros(2)
-        if reference is not None and np.count_nonzero(reference.frame < len(run.stamp)) > 2:
-            aligned = match(run.world_T_imu, reference, planar=True)
-            rotation, translation = aligned.rotation, aligned.translation
+        matched = None if reference is None else _matched(run, reference)
+        if matched is not None and len(matched.frame) > 2:
+            alignment = find_alignment("planar", matched)
+            rotation, translation = alignment.rotation[:2, :2], alignment.translation[:2]
         colour = colours(runs)[name]
         if len(run.points_world):
             points = run.points_world[:, :2] @ rotation.T + translation
@@ -68,6 +71,10 @@ def top_view(runs: Mapping[str, Run], reference: Reference | None, *, title: str
     axes.set_aspect("equal")
     axes.legend(loc="best", fontsize=8)
     return figure
+
+
+def _matched(run: Run, reference: Reference) -> Matched:
+    return associate(np.arange(len(run.stamp)), run.stamp, run.world_T_imu, reference)
 
 
 def height_attitude(runs: Mapping[str, Run], reference: Reference | None) -> Figure:
@@ -101,14 +108,15 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes = figure.subplots()
     for name, run in runs.items():
-        if np.count_nonzero(reference.frame < len(run.stamp)) < 3:
+        matched = _matched(run, reference)
+        if len(matched.frame) < 3:
             continue
-        aligned = match(run.world_T_imu, reference, planar=reference.planar)
+        errors = ate(matched, find_alignment("planar" if reference.planar else "se3", matched))
         driven = distance_driven(run.world_T_imu)
         colour = colours(runs)[name]
         axes.plot(
-            driven[aligned.frame],
-            np.linalg.norm(aligned.error, axis=1),
+            driven[errors.frame],
+            np.linalg.norm(errors.position_error, axis=1),
             ".-",
             ms=2,
             lw=0.8,
