@@ -8,7 +8,7 @@ import numpy as np
 from vislam.data.sequence import Frame
 from vislam.sensors import StereoRig
 from vislam.smoother.keys import landmark
-from vislam.smoother.triangulation import Start, triangulate
+from vislam.smoother.starting import Start, starts
 from vislam.types import Array, BoolArray
 
 _CHUNK = 512
@@ -172,7 +172,7 @@ def locate(rig: StereoRig, tracks: Sequence[Track], poses: Sequence[Array], *, c
         frames[at] = [view.k for view in views]
         z[at] = [view.z for view in views]
         sigma[at] = [view.sigma for view in views]
-        parts.append(triangulate(rig, near[frames - first], z, sigma, clear=clear))
+        parts.append(starts(rig, near[frames - first], z, sigma, clear=clear))
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Start(

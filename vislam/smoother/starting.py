@@ -1,0 +1,58 @@
+"""Where a landmark starts: all its views so far triangulated at once, for many landmarks together.
+
+A track starts when its disparity stands clear of its uncertainty, and waits until then.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.geometry import se3
+from vislam.sensors import StereoRig
+from vislam.triangulation import triangulate
+from vislam.types import Array, BoolArray
+
+_WORST_RESIDUAL = 4.0
+"""A track with a residual beyond this many standard deviations is not one static point."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Outcome for each track.
+
+    Attributes
+    ----------
+    points_world : (n, 3)
+    depth : (n,)
+        Depth in its first view [m].
+    ready : (n,)
+        Whether it may start.
+    """
+
+    points_world: Array
+    depth: Array
+    ready: BoolArray
+
+
+def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float) -> Start:
+    """Find where tracks start, from all their views.
+
+    Parameters
+    ----------
+    rig : StereoRig
+    world_T_imu : (n, V, 4, 4)
+        Pose of each view; the first view of a track comes first.
+    z : (n, V, 3)
+        Measurements (uL, uR, v) [px].
+    sigma : (n, V, 3)
+        Their standard deviations [px]; infinite where a track has no such view.
+    clear : float
+        How many standard deviations the disparity must be away from zero.
+    """
+    world_T_cam = world_T_imu @ rig.imu_T_cam
+    found = triangulate(rig, world_T_cam, z, sigma)
+    ready = found.solved & (found.disparity > clear * found.disparity_sigma)
+    ready &= np.all(np.abs(found.residual) / sigma < _WORST_RESIDUAL, axis=(1, 2))
+    points_cam = rig.back_project(np.where(ready[:, None], found.mean, [1.0, 0.0, 0.0]))
+    points_world = se3.transform(world_T_cam[:, 0], points_cam[:, None])[:, 0]
+    return Start(points_world, points_cam[:, 2], ready)
