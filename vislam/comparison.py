@@ -15,6 +15,7 @@ from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
 from vislam.estimator import ClimbNoise, Problem
 from vislam.evaluation import Evaluation
+from vislam.evaluation.held_out import hold_out
 from vislam.frozen import FrozenList
 from vislam.members import members
 from vislam.motion import MotionNoise
@@ -69,7 +70,7 @@ def compare(
     except OSError as error:
         raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
     sigma = pixel_sigma(config, dataset)
-    held = np.zeros(dataset.sequence.observations, bool)
+    held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
     runner = Runner(dataset.sequence.select(~held), sigma[~held], config.blas_threads, terminal)
     frozen = runner.freeze(chosen, problem, by=config.frozen_by) if config.frozen_by else None
     runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)

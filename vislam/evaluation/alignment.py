@@ -65,6 +65,13 @@ class Alignment:
         return se3.from_rotation_translation(rotation, self.transform_points(poses[..., :3, 3]))
 
 
+def admitted(matched: Matched) -> list[AlignmentKind]:
+    """Kinds of alignment that the reference of a match allows."""
+    if matched.planar:
+        return ["none", "planar"]
+    return [kind for kind in _FINDERS if kind != "first_pose" or matched.pose is not None]
+
+
 def find_alignment(kind: AlignmentKind, matched: Matched) -> Alignment:
     """Alignment of one kind of a matched estimate with its reference.
 
@@ -79,7 +86,7 @@ def find_alignment(kind: AlignmentKind, matched: Matched) -> Alignment:
     """
     if not len(matched.frame):
         raise ValueError("an alignment must have 1 matched frame or more, got 0")
-    if matched.planar and kind not in ("none", "planar"):
+    if matched.planar and kind not in admitted(matched):
         raise ValueError(f"alignment with a planar reference must be none or planar, got {kind}")
     return _FINDERS[kind](matched)
 

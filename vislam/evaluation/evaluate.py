@@ -87,9 +87,8 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
 def _against_reference(run: Run, reference: Reference) -> list[Metric]:
     name = reference.name
     found = []
-    frame = np.arange(len(run.stamp))
     for suffix, poses in (("", run.world_T_imu), ("_causal", run.world_T_imu_causal)):
-        matched = associate(frame, run.stamp, poses, reference)
+        matched = associate(run.frame, run.stamp, poses, reference)
         if len(matched.frame) < 3:
             continue
         planar = trajectory.ate(matched, find_alignment("planar", matched))

@@ -130,8 +130,8 @@ def hold_out(track: IntArray, *, share: float, seed: int) -> BoolArray:
     (n,)
         Which observations are held out.
     """
-    if not 0.0 < share < 1.0:
-        raise ValueError(f"share must be > 0 and < 1, got {share}")
+    if not 0.0 <= share < 1.0:
+        raise ValueError(f"share must be >= 0 and < 1, got {share}")
     views = np.bincount(track)
     luck = np.random.default_rng(seed).random(len(views))
     return np.asarray(((luck < share) & (views >= FEWEST_VIEWS))[track])

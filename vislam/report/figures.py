@@ -74,7 +74,7 @@ def top_view(runs: Mapping[str, Run], reference: Reference | None, *, title: str
 
 
 def _matched(run: Run, reference: Reference) -> Matched:
-    return associate(np.arange(len(run.stamp)), run.stamp, run.world_T_imu, reference)
+    return associate(run.frame, run.stamp, run.world_T_imu, reference)
 
 
 def height_attitude(runs: Mapping[str, Run], reference: Reference | None) -> Figure:
@@ -115,7 +115,7 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
         driven = distance_driven(run.world_T_imu)
         colour = colours(runs)[name]
         axes.plot(
-            driven[errors.frame],
+            driven[np.searchsorted(run.frame, errors.frame)],
             np.linalg.norm(errors.position_error, axis=1),
             ".-",
             ms=2,
