@@ -38,7 +38,8 @@ def drive(request) -> Drive:
 
 
 def recorded_drive():
-    recorded("0027_poses.txt"), recorded("0027.npz")
+    for name in ("0027_poses.txt", "0027.npz"):
+        recorded(name)
     data = config.load(ROOT / "configs" / "kitti07.yaml").data
     dataset = open_dataset(replace(data, repair=replace(data.repair, consensus=None)), seed=0)
     sequence = dataset.sequence

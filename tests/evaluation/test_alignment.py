@@ -1,6 +1,7 @@
 """Association and alignments: what they recover, what they leave alone, and what has no answer."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.evaluation.conftest import positions_of
 from vislam.data.reference import Reference
-from vislam.evaluation.alignment import _FINDERS, align, find_alignment
+from vislam.evaluation.alignment import AlignmentKind, align, find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate
 from vislam.geometry import se3, so3
 
-KINDS = tuple(_FINDERS)
+KINDS = get_args(AlignmentKind)
 FREE = {
     "first_pose": [1, 1, 1, 1, 1, 1],
     "yaw_position": [0, 0, 1, 1, 1, 1],
