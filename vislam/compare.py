@@ -1,14 +1,18 @@
 """``python -m vislam.compare``: run estimators on identical information, score and report.
 
-Exit codes: 0 done, 1 an estimator failed (what it had done is kept and marked), 2 bad config or data.
+Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked); 2 bad
+config or data, or saved results of other data; 3 no estimator failed, but a check does not hold.
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from vislam.command import add_config_options, answer, load_config
+from vislam.errors import ConfigError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,6 +27,14 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
+    add("--against", type=Path, metavar="METRICS", help="saved metrics.json, or its folder, to compare with")
+    add(
+        "--tolerance",
+        type=float,
+        default=0.05,
+        help="share by which an error may exceed the saved one, unless checks say that (default: 0.05)",
+    )
+    add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     return parser
 
@@ -30,12 +42,17 @@ def _parser() -> argparse.ArgumentParser:
 def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam import config as configuration  # noqa: PLC0415
+    from vislam.files import check_writable  # noqa: PLC0415
 
+    if not options.tolerance >= 0.0:
+        raise ConfigError(f"--tolerance must be >= 0, got {options.tolerance}")
+    if options.junit is not None:
+        check_writable(options.junit)
     config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]
         chosen = {name: config.estimators.get(name, {}) for name in names}
-        config = configuration.with_estimators(config, chosen)
+        config = _with_estimators(config, chosen)
     if options.dump_config:
         print(configuration.dump(config), end="")
         return 0
@@ -48,8 +65,34 @@ def _compare(options: argparse.Namespace) -> int:
         data_dir=options.data_dir,
         allow_stand_in=not options.no_stand_in,
         terminal=Terminal(),
+        against=options.against,
+        tolerance=options.tolerance,
     )
-    return 0 if all(run.complete for run in outcome.runs.values()) else 1
+    if options.junit is not None:
+        _write_junit(options.junit, outcome.folder)
+    if not all(run.complete for run in outcome.runs.values()):
+        return 1
+    return 0 if all(verdict.holds for verdict in outcome.verdicts) else 3
+
+
+def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:
+    """Choose estimators, and say how many checks of others that leaves out."""
+    from vislam import config as configuration  # noqa: PLC0415
+
+    chosen = configuration.with_estimators(config, estimators)
+    left_out = len(config.checks) - len(chosen.checks)
+    if left_out:
+        print(
+            f"{left_out} of {len(config.checks)} checks need estimators that do not run, and are left out",
+            file=sys.stderr,
+        )
+    return chosen
+
+
+def _write_junit(path: Path, folder: Path) -> None:
+    from vislam.checks.junit import write_junit  # noqa: PLC0415
+
+    write_junit(path, json.loads((folder / "metrics.json").read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vislam import config as configuration
+from vislam.checks.judge import Verdict, read_checklist
 from vislam.config import Config
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.data.source import Dataset, open_dataset
@@ -45,14 +46,24 @@ class Outcome:
     runs: Mapping[str, Run]
     evaluation: Evaluation
     frozen: FrozenList | None
+    verdicts: Sequence[Verdict]
 
 
 def compare(
-    config: Config, *, out: Path, data_dir: Path | None, allow_stand_in: bool, terminal: Terminal
+    config: Config,
+    *,
+    out: Path,
+    data_dir: Path | None,
+    allow_stand_in: bool,
+    terminal: Terminal,
+    against: Path | None = None,
+    tolerance: float = 0.05,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
-    The id is a hash of the config, the data and the code, so that a rerun lands in the same place.
+    The id is a hash of the config, the data and the code, so that a rerun lands in the same place. The checks
+    of the config are judged; ``against`` names saved results for them, which no error may exceed by more than
+    the share ``tolerance`` if they say nothing else of them.
 
     Raises
     ------
@@ -62,7 +73,9 @@ def compare(
         The same, if an estimator that the list of observations is to come from is incomplete.
     """
     chosen = members(config)
+    checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    checklist.refuse_other(dataset)
     if dataset.sequence.observations == 0:
         raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
     problem = make_problem(config, dataset)
@@ -82,7 +95,8 @@ def compare(
     frozen = runner.freeze(chosen, problem, by=config.frozen_by) if config.frozen_by else None
     runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
     evaluation = evaluate(runs, dataset.reference)
-    write_results(folder, config, dataset, runs, evaluation, frozen=frozen)
+    verdicts = checklist.judge(runs, evaluation)
+    write_results(folder, config, dataset, runs, evaluation, frozen=frozen, verdicts=verdicts)
     table = comparison_table(runs, evaluation, keys=SHORT)
     terminal.table(table, title=_title(config, dataset), path=folder / "report.html")
     if frozen is not None:
@@ -90,7 +104,9 @@ def compare(
     for name, run in runs.items():
         if not run.complete:
             terminal.note(f"{name} is incomplete: {run.error}")
-    return Outcome(folder, runs, evaluation, frozen)
+    for verdict in verdicts:
+        terminal.note(verdict.line())
+    return Outcome(folder, runs, evaluation, frozen, verdicts)
 
 
 def make_problem(config: Config, dataset: Dataset) -> Problem:
@@ -145,6 +161,7 @@ def write_results(
     evaluation: Evaluation,
     *,
     frozen: FrozenList | None,
+    verdicts: Sequence[Verdict],
 ) -> None:
     """Write everything a comparison leaves behind, each file whole or not at all."""
     text = configuration.dump(config)
@@ -166,6 +183,7 @@ def write_results(
         evaluation=evaluation,
         rungs=rungs,
         frozen=frozen,
+        verdicts=verdicts,
         provenance=made_by,
     )
     paths = {}
@@ -199,6 +217,7 @@ def write_metrics(
     evaluation: Evaluation,
     rungs: Sequence[Rung],
     frozen: FrozenList | None,
+    verdicts: Sequence[Verdict],
     provenance: Mapping[str, str],
 ) -> None:
     """Write ``metrics.json``."""
@@ -232,6 +251,7 @@ def write_metrics(
         "provenance": dict(provenance),
         "metrics": evaluation.records(),
         "attribution": [asdict(rung) for rung in rungs],
+        "checks": [verdict.record() for verdict in verdicts],
     }
     with replace_whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
