@@ -44,8 +44,8 @@ def _compare(options: argparse.Namespace) -> int:
     from vislam import config as configuration  # noqa: PLC0415
     from vislam.files import check_writable  # noqa: PLC0415
 
-    if not options.tolerance >= 0.0:
-        raise ConfigError(f"--tolerance must be >= 0, got {options.tolerance}")
+    if not 0.0 <= options.tolerance < float("inf"):
+        raise ConfigError(f"--tolerance must be >= 0 and finite, got {options.tolerance}")
     if options.junit is not None:
         check_writable(options.junit)
     config = load_config(options)
