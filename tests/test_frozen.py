@@ -12,7 +12,7 @@ from tests.test_estimator import Scripted, everything
 from vislam import estimator
 from vislam.compare import main
 from vislam.comparison import compare, make_problem, pixel_sigma
-from vislam.config import Config
+from vislam.config import Config, HeldOutConfig
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator
 from vislam.ekf.options import EkfOptions
@@ -55,7 +55,7 @@ def scripted(monkeypatch):
 
 
 def compared(config, folder, **changes):
-    config = replace(config, seed=3, **changes)
+    config = replace(config, seed=3, held_out=HeldOutConfig(share=0.0), **changes)
     return compare(config, out=folder, data_dir=None, allow_stand_in=True, terminal=Terminal())
 
 

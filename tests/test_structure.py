@@ -14,6 +14,7 @@ FORBIDDEN = {
     "ekf": ("smoother", "evaluation", "report", "comparison"),
     "smoother": ("ekf", "evaluation", "report", "comparison"),
     "evaluation": ("ekf", "smoother", "estimator", "report", "comparison"),
+    "checks": ("ekf", "smoother", "estimator", "report", "comparison"),
     "report": ("ekf", "smoother", "estimator", "comparison"),
 }
 

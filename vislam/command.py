@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from vislam.errors import ConfigError, DataError, DivergedError
+from vislam.files import check_writable
 
 
 def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
@@ -27,6 +28,27 @@ def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True
     )
     add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
     add("--verbose", action="store_true", help="log what is read, cut and dropped")
+
+
+def add_check_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what results are to be held against, and where to write what came of it."""
+    add = parser.add_argument
+    add("--against", type=Path, metavar="METRICS", help="saved metrics.json, or its folder, to compare with")
+    add(
+        "--tolerance",
+        type=float,
+        default=0.05,
+        help="share by which an error may exceed the saved one, unless checks say that (default: 0.05)",
+    )
+    add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")
+
+
+def refuse_bad_check_options(options: argparse.Namespace) -> None:
+    """Raise ConfigError or DataError for what no run could mend."""
+    if not 0.0 <= options.tolerance < float("inf"):
+        raise ConfigError(f"--tolerance must be >= 0 and finite, got {options.tolerance}")
+    if options.junit is not None:
+        check_writable(options.junit)
 
 
 def load_config(options: argparse.Namespace) -> Any:

@@ -1,14 +1,22 @@
 """``python -m vislam.compare``: run estimators on identical information, score and report.
 
-Exit codes: 0 done, 1 an estimator failed (what it had done is kept and marked), 2 bad config or data.
+Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked); 2 bad
+config or data, or saved results of other data; 3 no estimator failed, but a check does not hold.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from vislam.command import add_config_options, answer, load_config
+from vislam.command import (
+    add_check_options,
+    add_config_options,
+    answer,
+    load_config,
+    refuse_bad_check_options,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,6 +31,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
+    add_check_options(parser)
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     return parser
 
@@ -31,15 +40,17 @@ def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam import config as configuration  # noqa: PLC0415
 
+    refuse_bad_check_options(options)
     config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]
         chosen = {name: config.estimators.get(name, {}) for name in names}
-        config = configuration.with_estimators(config, chosen)
+        config = _with_estimators(config, chosen)
     if options.dump_config:
         print(configuration.dump(config), end="")
         return 0
     from vislam.comparison import compare  # noqa: PLC0415
+    from vislam.results import conclude  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     outcome = compare(
@@ -48,8 +59,24 @@ def _compare(options: argparse.Namespace) -> int:
         data_dir=options.data_dir,
         allow_stand_in=not options.no_stand_in,
         terminal=Terminal(),
+        against=options.against,
+        tolerance=options.tolerance,
     )
-    return 0 if all(run.complete for run in outcome.results.runs.values()) else 1
+    return conclude(outcome.results, outcome.published, junit=options.junit)
+
+
+def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:
+    """Choose estimators, and say how many checks of others that leaves out."""
+    from vislam import config as configuration  # noqa: PLC0415
+
+    chosen = configuration.with_estimators(config, estimators)
+    left_out = len(config.checks) - len(chosen.checks)
+    if left_out:
+        print(
+            f"{left_out} of {len(config.checks)} checks need estimators that do not run, and are left out",
+            file=sys.stderr,
+        )
+    return chosen
 
 
 if __name__ == "__main__":

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from vislam import config as configuration
+from vislam.checks.judge import read_checklist
 from vislam.config import Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
 from vislam.estimator import ClimbNoise, Problem
-from vislam.evaluation import Evaluation
 from vislam.evaluation.held_out import hold_out
 from vislam.frozen import FrozenList
 from vislam.members import members
 from vislam.motion import MotionNoise
 from vislam.record import Record, Tracks
-from vislam.results import Results, announce, publish
+from vislam.results import SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
@@ -35,15 +35,24 @@ class Outcome:
 
     folder: Path
     results: Results
-    evaluation: Evaluation
+    published: Published
 
 
 def compare(
-    config: Config, *, out: Path, data_dir: Path | None, allow_stand_in: bool, terminal: Terminal
+    config: Config,
+    *,
+    out: Path,
+    data_dir: Path | None,
+    allow_stand_in: bool,
+    terminal: Terminal,
+    against: Path | None = None,
+    tolerance: float = 0.05,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
-    The id is a hash of the config, the data and the code, so that a rerun lands in the same place.
+    The id is a hash of the config, the data and the code, so that a rerun lands in the same place. The checks
+    of the config are judged; ``against`` names saved results for them, which no error may exceed by more than
+    the share ``tolerance`` if they say nothing else of them.
 
     Raises
     ------
@@ -53,7 +62,9 @@ def compare(
         The same, if an estimator that the list of observations is to come from is incomplete.
     """
     chosen = members(config)
+    checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     if dataset.sequence.observations == 0:
         raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
     problem = make_problem(config, dataset)
@@ -76,9 +87,9 @@ def compare(
     runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
     results = Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
     results.save(folder)
-    evaluation = publish(results, folder)
-    announce(results, evaluation, folder, terminal)
-    return Outcome(folder, results, evaluation)
+    published = publish(results, folder, checklist)
+    announce(results, published, folder, terminal)
+    return Outcome(folder, results, published)
 
 
 def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenList | None) -> Record:

@@ -10,6 +10,7 @@ import yaml
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from vislam.checks.settings import Check
 from vislam.errors import ConfigError
 from vislam.fields import STRICT, NonNegative, Positive
 from vislam.repair import RepairConfig
@@ -185,6 +186,11 @@ class Config:
     ladder: dict[str, str] = field(default_factory=dict)
     """What each run adds to the one before it here, by the name of the run; the report then says what that
     does to the error. Order them so that each differs from the one before by one thing."""
+    checks: tuple[Check, ...] = ()
+    """What is demanded of the results; the exit code says whether it holds."""
+    false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    """Chance that results of consistent estimators fail one of the tests among the checks, whichever; shared
+    out evenly among the tests (Bonferroni)."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -267,9 +273,13 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
 
 
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
-    """Return the configuration with other estimators; a ladder that lacks one of its rungs is left out."""
+    """Return the configuration with other estimators.
+
+    A ladder that lacks one of its rungs is left out, and so is a check that needs one that is not there.
+    """
     ladder = config.ladder if config.ladder.keys() <= estimators.keys() else {}
-    return replace(config, estimators=estimators, ladder=ladder)
+    checks = tuple(check for check in config.checks if estimators.keys() >= set(check.runs))
+    return replace(config, estimators=estimators, ladder=ladder, checks=checks)
 
 
 def dump(config: Config) -> str:
@@ -286,7 +296,10 @@ def _plain(value: Any) -> Any:
 def _known(kind: Any, location: tuple[int | str, ...]) -> str:
     """Say which keys the section of an unknown key has."""
     for part in location[:-1]:
-        inside = _section(kind.__dataclass_fields__[str(part)].type)
+        if isinstance(part, int):
+            # An item of a list, whose section the list has already named.
+            continue
+        inside = _section(kind.__dataclass_fields__[part].type)
         kind = kind if inside is None else inside
     return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
 

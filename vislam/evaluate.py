@@ -1,6 +1,6 @@
 """``python -m vislam.evaluate results/<id>``: score saved runs again, beside trajectories from elsewhere.
 
-Exit codes: 0 done, 1 an estimator had failed, 2 bad results or trajectory.
+Exit codes: 0 done, and all checks hold; 1 an estimator had failed; 2 bad results or trajectory; 3 a check fails.
 """
 
 import argparse
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import answer
+from vislam.command import add_check_options, answer, refuse_bad_check_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,6 +29,7 @@ def _parser() -> argparse.ArgumentParser:
         help="a trajectory from elsewhere as one more column: format tum, euroc, kitti or kitti360; pose_of "
         "imu or left_camera; up z or -y (a world with a camera's axes)",
     )
+    add_check_options(parser)
     add("--out", type=Path, help="folder for metrics, figures and report (default: the results folder)")
     add("--verbose", action="store_true", help="log what is read and dropped")
     return parser
@@ -36,14 +37,21 @@ def _parser() -> argparse.ArgumentParser:
 
 def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
+    from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.external import with_trajectories  # noqa: PLC0415
-    from vislam.results import Results, announce, publish  # noqa: PLC0415
+    from vislam.results import SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
+    refuse_bad_check_options(options)
     results = with_trajectories(Results.load(options.results), options.trajectory)
+    checklist = read_checklist(
+        results.config, against=options.against, tolerance=options.tolerance, schema_version=SCHEMA_VERSION
+    )
+    checklist.refuse_other(digest=results.record.digest, reference=results.record.reference)
     folder = options.out or options.results
-    announce(results, publish(results, folder), folder, Terminal())
-    return 0 if all(run.complete for run in results.runs.values()) else 1
+    published = publish(results, folder, checklist)
+    announce(results, published, folder, Terminal())
+    return conclude(results, published, junit=options.junit)
 
 
 if __name__ == "__main__":

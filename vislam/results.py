@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from vislam import config as configuration
+from vislam.checks.judge import Checklist, Verdict
+from vislam.checks.junit import write_junit
 from vislam.config import Config
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
 from vislam.errors import DataError
@@ -84,16 +86,26 @@ class Results:
         )
 
 
-def publish(results: Results, folder: Path) -> Evaluation:
-    """Score saved runs and write ``metrics.json``, figures and report.
+@dataclass(frozen=True)
+class Published:
+    """What was made of results."""
 
-    Nothing but what is in the results enters, so whoever reads them from their folder gets the same bytes.
+    evaluation: Evaluation
+    verdicts: Sequence[Verdict]
+    document: dict[str, Any]
+
+
+def publish(results: Results, folder: Path, checklist: Checklist) -> Published:
+    """Score and judge runs, and write ``metrics.json``, figures and report.
+
+    Nothing but results and checklist enters: whoever reads them from their folder gets the same bytes.
     """
     config, record, runs = results.config, results.record, results.runs
     evaluation = evaluate(runs, record)
+    verdicts = checklist.judge(runs, evaluation)
     rungs = attribute(config.ladder, runs, evaluation, record.reference)
+    document = metrics_document(results, evaluation, rungs, verdicts)
     with replace_whole(folder / "metrics.json") as temporary:
-        document = metrics_document(results, evaluation, rungs)
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     paths = {}
     for name, figure in all_figures(runs, record.reference, title=results.title).items():
@@ -115,10 +127,12 @@ def publish(results: Results, folder: Path) -> Evaluation:
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=configuration.dump(config),
     )
-    return evaluation
+    return Published(evaluation, verdicts, document)
 
 
-def metrics_document(results: Results, evaluation: Evaluation, rungs: Sequence[Rung]) -> dict[str, Any]:
+def metrics_document(
+    results: Results, evaluation: Evaluation, rungs: Sequence[Rung], verdicts: Sequence[Verdict]
+) -> dict[str, Any]:
     """Plain data of ``metrics.json``."""
     record, reference, not_fused = results.record, results.record.reference, results.not_fused()
     return {
@@ -149,15 +163,27 @@ def metrics_document(results: Results, evaluation: Evaluation, rungs: Sequence[R
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
         "attribution": [asdict(rung) for rung in rungs],
+        "checks": [verdict.record() for verdict in verdicts],
     }
 
 
-def announce(results: Results, evaluation: Evaluation, folder: Path, terminal: Terminal) -> None:
+def announce(results: Results, published: Published, folder: Path, terminal: Terminal) -> None:
     """Print the closing table, where the report is, and what must not be overlooked."""
-    table = comparison_table(results.runs, evaluation, keys=SHORT)
+    table = comparison_table(results.runs, published.evaluation, keys=SHORT)
     terminal.table(table, title=results.title, path=folder / "report.html")
     if told := results.frozen_told():
         terminal.note(told)
     for name, run in results.runs.items():
         if not run.complete:
             terminal.note(f"{name} is incomplete: {run.error}")
+    for verdict in published.verdicts:
+        terminal.note(verdict.line())
+
+
+def conclude(results: Results, published: Published, *, junit: Path | None) -> int:
+    """Write the checks as JUnit XML, if that is wanted, and return the exit code of the command."""
+    if junit is not None:
+        write_junit(junit, published.document)
+    if not all(run.complete for run in results.runs.values()):
+        return 1
+    return 0 if all(verdict.holds for verdict in published.verdicts) else 3

@@ -184,8 +184,12 @@ def test_about_the_share_is_held_out_of_the_tracks_with_enough_views():
     assert not hold_out(np.empty(0, np.int64), share=0.1, seed=0).any()
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0, -0.1])
-def test_a_share_is_between_none_and_all(share):
+def test_a_share_of_nothing_is_nothing():
+    assert not hold_out(np.repeat(np.arange(50), 5), share=0.0, seed=0).any()
+
+
+@pytest.mark.parametrize("share", [1.0, -0.1])
+def test_a_share_is_none_or_more_and_not_all(share):
     with pytest.raises(ValueError, match="share"):
         hold_out(np.arange(3), share=share, seed=0)
 

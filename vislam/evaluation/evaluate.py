@@ -1,8 +1,9 @@
 """Metrics of runs against a reference and against each other."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 
@@ -40,15 +41,62 @@ class Metric:
     against: str = ""
 
 
+class Statistic(Protocol):
+    """A number whose distribution is known if the run is consistent."""
+
+    @property
+    def name(self) -> str:
+        """What it is of."""
+        ...
+
+    @property
+    def value(self) -> float:
+        """The number itself."""
+        ...
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of a sample."""
+        ...
+
+    @property
+    def samples(self) -> int:
+        """How many samples it is made of."""
+        ...
+
+    @property
+    def effective_samples(self) -> float:
+        """How many independent samples would tell as much."""
+        ...
+
+    @property
+    def convention(self) -> str:
+        """How it is defined."""
+        ...
+
+    def interval(self, probability: float) -> tuple[float, float]:
+        """Two-sided interval in which a consistent run's is with this probability."""
+        ...
+
+    def p_value(self) -> float:
+        """Chance, two-sided, that a consistent run's is as far off."""
+        ...
+
+
 @dataclass(frozen=True)
 class Evaluation:
-    """All metrics, with look-up."""
+    """All metrics, and all statistics by run and name, with look-up."""
 
     metrics: Sequence[Metric]
+    statistics: Mapping[tuple[str, str], Statistic] = field(default_factory=dict)
 
     def value(self, estimator: str, key: str) -> float | None:
         """Value of a metric, or None where it does not exist."""
         return next((m.value for m in self.metrics if (m.estimator, m.key) == (estimator, key)), None)
+
+    def statistic(self, estimator: str, name: str) -> Statistic | None:
+        """Look a statistic up; None where it does not exist."""
+        return self.statistics.get((estimator, name))
 
     def records(self) -> list[dict[str, object]]:
         """Plain data for JSON."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam.data.sequence import Sequence
+from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.repair.mounting import axes_rotation
 from vislam.sensors import CAMERA_AXES, StereoRig
@@ -60,21 +60,23 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
     rig = stereo_rig(config)
 
     bias = np.array([*config.gyro_bias, *config.velocity_bias])
-    sampled_at = stamp - config.clock_offset
-    twist = path.twist(sampled_at) + bias
-    if config.levelled_velocity:
-        twist[:, 5] = path.climb_rate(sampled_at) + bias[5]
-    noise = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
-    twist += noise * generator.standard_normal(twist.shape)
+    by_step = config.inertial_noise == "step"
+    clean = _step_twist(config, stamp, world_T_imu) if by_step else _sampled_twist(config, stamp, path)
+    sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
+    twist = clean + bias + sigma * generator.standard_normal(clean.shape)
+    inertial_stamp = stamp
+    if by_step:
+        inertial_stamp, twist = piecewise_constant(stamp, twist)
+        inertial_stamp = inertial_stamp + config.clock_offset
 
     tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
     start = upright @ origin
     sequence = Sequence(
         name=name,
         stamp=stamp,
-        inertial_stamp=stamp,
+        inertial_stamp=inertial_stamp,
         twist=twist,
-        climb_rate=np.full(config.frames, np.nan),
+        climb_rate=np.full(len(twist), np.nan),
         rig=_as_stored(config, rig),
         offset=tracks.offset,
         track=tracks.track,
@@ -89,6 +91,24 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
         },
     )
     return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world))
+
+
+def _sampled_twist(config: SimulationConfig, stamp: Array, path: DrivePath) -> Array:
+    """Twist ``(T, 6)`` of the samples without bias and noise."""
+    sampled_at = stamp - config.clock_offset
+    twist = path.twist(sampled_at)
+    if config.levelled_velocity:
+        twist[:, 5] = path.climb_rate(sampled_at)
+    return twist
+
+
+def _step_twist(config: SimulationConfig, stamp: Array, world_T_imu: Array) -> Array:
+    """Mean twist ``(T - 1, 6)`` of the steps without bias and noise."""
+    period = np.diff(stamp)[:, None]
+    twist = se3.local(world_T_imu[:-1], world_T_imu[1:]) / period
+    if config.levelled_velocity:
+        twist[:, 5:] = np.diff(world_T_imu[:, 2:3, 3], axis=0) / period
+    return twist
 
 
 def _as_stored(config: SimulationConfig, rig: StereoRig) -> StereoRig:

@@ -72,6 +72,10 @@ class SimulationConfig:
     """White noise of an angular velocity sample [rad/s]."""
     velocity_sigma: NonNegative = 0.02
     """White noise of a velocity sample [m/s]."""
+    inertial_noise: Literal["sample", "step"] = "sample"
+    """``sample``: one sample a frame, with this noise. ``step``: the mean twist of each step with this noise,
+    kept all through the step, so that the noise of steps is independent, as the estimators take it to be;
+    samples that are joined by straight lines share theirs with both neighbours."""
     clock_offset: float = 0.0
     """How late the inertial stamps are against the camera's [s]."""
     extrinsic_axes: tuple[str, str, str] = ("x", "y", "z")

@@ -1,0 +1,70 @@
+"""The config that tells whether the estimators are sound: what it says of sound ones, and of others."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from vislam import config as configuration
+from vislam.compare import main
+
+CONFIG = Path(__file__).parents[2] / "configs" / "ci.yaml"
+ESTIMATORS = ["ekf_invariant", "eks", "isam2"]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Folder of the results of the config as it is, and of their XML."""
+    folder = tmp_path_factory.mktemp("ci")
+    code = main(["--config", str(CONFIG), "--out", str(folder / "out"), "--junit", str(folder / "out.xml")])
+    return code, json.loads(next(folder.rglob("metrics.json")).read_text()), folder / "out.xml"
+
+
+def test_its_noise_section_states_what_is_simulated():
+    config = configuration.load(CONFIG)
+    simulated, noise = config.data.simulation, config.noise
+    sigma = np.repeat([simulated.gyro_sigma, simulated.velocity_sigma], 3)
+    assert noise.twist_density == pytest.approx(sigma * np.sqrt(simulated.period), rel=1e-8)
+    assert (noise.pixel_sigma_px, noise.drift_px, noise.match_px) == (simulated.pixel_sigma_px, 0.0, 0.0)
+    assert (simulated.drift_px, simulated.match_px) == (0.0, 0.0)
+    assert (simulated.outlier_probability, simulated.stale_probability) == (0.0, 0.0)
+    bias = np.array([*simulated.gyro_bias, *simulated.velocity_bias])
+    assert np.all(np.abs(bias - noise.bias_mean) <= noise.bias_sigma)
+
+
+def test_every_run_completes_within_its_bounds(results):
+    code, document, _ = results
+    assert code in (0, 3)
+    assert list(document["runs"]) == ESTIMATORS
+    assert all(run["complete"] for run in document["runs"].values())
+    bounds = [check for check in document["checks"] if check["name"] == "ate_rmse"]
+    assert [check["estimator"] for check in bounds] == [*ESTIMATORS, "isam2"]
+    assert all(check["holds"] for check in bounds), bounds
+
+
+def test_nothing_is_chosen_by_its_noise(results):
+    _, document, _ = results
+    value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
+    counts = document["dataset"]["counts"]
+    given = counts["observations"] - counts["held_out_observations"]
+    assert value["ekf_invariant", "observations_used"] == given
+    assert all(value[name, "observations_gated"] == 0.0 for name in ESTIMATORS)
+
+
+def test_the_xml_has_a_case_for_each_run_and_each_check(results):
+    _, document, path = results
+    suite = ElementTree.parse(path).getroot()[0]
+    assert int(suite.get("tests")) == len(ESTIMATORS) + len(document["checks"])
+    assert suite.get("errors") == "0"
+    assert int(suite.get("failures")) == sum(not check["holds"] for check in document["checks"])
+
+
+def test_a_wrong_baseline_moves_the_drive_out_of_its_bounds(tmp_path):
+    wrong = ["--set", "data.simulation.stated_baseline=0.62"]
+    asked = ["--config", str(CONFIG), "--out", str(tmp_path), "--estimators", "ekf_invariant", *wrong]
+    assert main(asked) == 3
+    checks = json.loads(next(tmp_path.rglob("metrics.json")).read_text())["checks"]
+    (bound,) = [check for check in checks if check["name"] == "ate_rmse"]
+    assert not bound["holds"], bound["measured"]

@@ -1,0 +1,202 @@
+"""Whether results are as demanded."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from vislam.checks.saved import Saved
+from vislam.checks.settings import SAVED, Check, refuse_unknown
+from vislam.config import Config
+from vislam.data.reference import Reference
+from vislam.errors import ConfigError
+from vislam.evaluation import Evaluation
+from vislam.run import Run
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a check.
+
+    Attributes
+    ----------
+    check : str
+        What was demanded.
+    holds : bool
+    measured : str
+        What was found, or why nothing was.
+    estimator : str
+    name : str
+        Key of the metric, or name of the statistic.
+    """
+
+    check: str
+    holds: bool
+    measured: str
+    estimator: str
+    name: str
+
+    def line(self) -> str:
+        """One line of text."""
+        return f"{'holds' if self.holds else 'FAILS'}  {self.check}: {self.measured}"
+
+    def record(self) -> dict[str, object]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Checklist:
+    """All that is demanded of the results of a comparison.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+    false_alarm_rate : float
+        Of all tests of consistency together: the chance that sound results fail one.
+    saved : Saved or None
+        What ``times: saved`` means.
+    """
+
+    checks: tuple[Check, ...]
+    false_alarm_rate: float
+    saved: Saved | None = None
+
+    @classmethod
+    def of(cls, config: Config, *, saved: Saved | None = None, tolerance: float = 0.05) -> "Checklist":
+        """Checklist of a config.
+
+        With saved results, and no check of the config that uses them, no error may have become larger than
+        them by more than a share ``tolerance``.
+
+        Raises
+        ------
+        ConfigError
+            If a check names a run that there is not, or saved results that there are not.
+        DataError
+            If there is nothing to compare in the saved results.
+        """
+        checks = config.checks
+        refuse_unknown(checks, config.estimators)
+        of_saved = [index for index, check in enumerate(checks) if check.times == SAVED]
+        if of_saved and saved is None:
+            raise ConfigError(
+                f"checks.{of_saved[0]}.times: no saved results are given; name them with "
+                "--against results/<id>"
+            )
+        if saved is not None and not of_saved:
+            checks += saved.checks(tuple(config.estimators), tolerance=tolerance)
+        return cls(checks, config.false_alarm_rate, saved)
+
+    def refuse_other(self, *, digest: str, reference: Reference | None) -> None:
+        """Raise DataError if the saved results are of other data than are here."""
+        if self.saved is not None:
+            self.saved.refuse_other(digest=digest, reference=None if reference is None else reference.name)
+
+    def judge(self, runs: Mapping[str, Run], evaluation: Evaluation) -> list[Verdict]:
+        """Judge results, check by check."""
+        judge = _Judge(self, runs, evaluation)
+        return [judge.verdict(check) for check in self.checks]
+
+
+def read_checklist(
+    config: Config, *, against: Path | None, tolerance: float, schema_version: int
+) -> Checklist:
+    """Checklist of a config, and of saved results if they are named."""
+    saved = None if against is None else Saved.read(against, schema_version=schema_version)
+    return Checklist.of(config, saved=saved, tolerance=tolerance)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    checklist: Checklist
+    runs: Mapping[str, Run]
+    evaluation: Evaluation
+
+    def verdict(self, check: Check) -> Verdict:
+        incomplete = [name for name in check.runs if not self.runs[name].complete]
+        if incomplete:
+            return _verdict(check, False, f"{incomplete[0]} is incomplete: {self.runs[incomplete[0]].error}")
+        return self._test(check) if check.test is not None else self._bound(check)
+
+    def _bound(self, check: Check) -> Verdict:
+        value = self.evaluation.value(check.estimator, check.name)
+        if value is None:
+            return _verdict(check, False, self._missing(check))
+        unit = self._unit(check)
+        factor, scale = self._scale(check, unit)
+        if factor is None:
+            return _verdict(check, False, scale)
+        low = None if check.at_least is None else check.at_least * factor
+        high = None if check.at_most is None else check.at_most * factor
+        # Written so that a NaN on either side does not hold.
+        holds = (low is None or value >= low) and (high is None or value <= high)
+        return _verdict(check, holds, f"{value:.4g}{unit}{scale}", unit if check.times is None else "")
+
+    def _scale(self, check: Check, unit: str) -> tuple[float | None, str]:
+        """What the bounds are multiples of, and how that is told; None if there is nothing, and why."""
+        if check.times is None:
+            return 1.0, ""
+        if check.times == SAVED:
+            saved = self.checklist.saved
+            assert saved is not None
+            factor = saved.values.get((check.estimator, check.name))
+            lacking = [name for name in check.runs if not saved.complete.get(name, False)]
+            if factor is None or lacking:
+                why = f"no complete run of {lacking[0]}" if lacking else f"no {check.name}"
+                return None, f"{why} in {saved.path}"
+            return factor, f", saved {factor:.4g}{unit}"
+        factor = self.evaluation.value(check.times, check.name)
+        if factor is None:
+            return None, f"{check.times} has no {check.name}"
+        return factor, f", {check.times} {factor:.4g}{unit}"
+
+    def _test(self, check: Check) -> Verdict:
+        """Two-sided test at the corrected level.
+
+        Bonferroni: the rate is shared out evenly, which holds however the statistics depend on each other
+        and leaves a verdict the same whatever the others come to. Holm's method would reject more, but only
+        once another has been rejected, and then the results have failed anyway.
+        """
+        found = self.evaluation.statistic(check.estimator, check.name)
+        if found is None:
+            return _verdict(check, False, f"{check.estimator} has no such statistic")
+        tests = sum(other.test is not None for other in self.checklist.checks)
+        rate = self.checklist.false_alarm_rate
+        low, high = found.interval(1.0 - rate / tests)
+        together = f"{rate:g} for {tests} tests together, Bonferroni" if tests > 1 else f"{rate:g}"
+        measured = (
+            f"{found.value:.4g}, expected {low:.4g} to {high:.4g} (p {found.p_value():.2g}, "
+            f"{found.effective_samples:.4g} effective of {found.samples} samples, "
+            f"{found.freedom} degrees of freedom each, false-alarm rate {together}; {found.convention})"
+        )
+        return _verdict(check, low <= found.value <= high, measured)
+
+    def _unit(self, check: Check) -> str:
+        units = (
+            m.unit for m in self.evaluation.metrics if (m.estimator, m.key) == (check.estimator, check.name)
+        )
+        unit = next(units)
+        return "" if unit == "1" else f" {unit}"
+
+    def _missing(self, check: Check) -> str:
+        known = sorted(
+            {metric.key for metric in self.evaluation.metrics if metric.estimator == check.estimator}
+        )
+        return f"{check.estimator} has no such metric; it has {', '.join(known) or 'none'}"
+
+
+def _verdict(check: Check, holds: bool, measured: str, unit: str = "") -> Verdict:
+    return Verdict(_text(check, unit), bool(holds), measured, check.estimator, check.name)
+
+
+def _text(check: Check, unit: str) -> str:
+    """What a check demands, in words."""
+    if check.test is not None:
+        return f"{check.estimator} {check.name} is that of a consistent estimator"
+    bounds = []
+    if check.at_least is not None:
+        bounds.append(f"at least {check.at_least:g}")
+    if check.at_most is not None:
+        bounds.append(f"at most {check.at_most:g}")
+    of = {None: unit, SAVED: " times the saved"}.get(check.times, f" times that of {check.times}")
+    return f"{check.estimator} {check.name} {' and '.join(bounds)}{of}"

@@ -1,0 +1,135 @@
+"""Results of an earlier run, as its ``metrics.json`` has them, to compare new ones with."""
+
+import json
+from dataclasses import dataclass as plain_dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import StrictBool, StrictFloat
+from pydantic.dataclasses import dataclass
+
+from vislam import config as configuration
+from vislam.checks.settings import SAVED, Check
+from vislam.errors import ConfigError, DataError
+
+_SMALLER_IS_BETTER = ("ate_", "rpe_", "kitti_", "drift_", "map_error_", "held_out_")
+"""How keys of metrics of accuracy start."""
+
+
+@dataclass(frozen=True)
+class _Metric:
+    estimator: str
+    key: str
+    value: StrictFloat
+
+
+@dataclass(frozen=True)
+class _Run:
+    complete: StrictBool
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    name: str
+    digest: str
+    reference: str | None
+
+
+@dataclass(frozen=True)
+class _Document:
+    dataset: _Dataset
+    runs: dict[str, _Run]
+    metrics: list[_Metric]
+
+
+@plain_dataclass(frozen=True)
+class Saved:
+    """Saved results.
+
+    Attributes
+    ----------
+    path : Path
+        Their ``metrics.json``.
+    data, digest : str
+        Name and hash of the data.
+    reference : str or None
+        Name of what they were scored against.
+    complete : dict of str to bool
+        Whether each run had finished.
+    values : dict of (str, str) to float
+        Metrics by run and key.
+    """
+
+    path: Path
+    data: str
+    digest: str
+    reference: str | None
+    complete: dict[str, bool]
+    values: dict[tuple[str, str], float]
+
+    @classmethod
+    def read(cls, path: Path, *, schema_version: int) -> "Saved":
+        """Read a ``metrics.json``, or that of a folder of results; a DataError says what is wrong with it."""
+        path = path / "metrics.json" if path.is_dir() else path
+        tree = _tree(path)
+        if tree.get("schema_version") != schema_version:
+            raise DataError(
+                f"{path}: schema_version must be {schema_version}, got {tree.get('schema_version')!r}; "
+                "write it anew with this version"
+            )
+        try:
+            found = configuration.parse(_Document, tree)
+        except ConfigError as error:
+            raise DataError(f"{path}: {error}") from None
+        return cls(
+            path=path,
+            data=found.dataset.name,
+            digest=found.dataset.digest,
+            reference=found.dataset.reference,
+            complete={name: run.complete for name, run in found.runs.items()},
+            values={(metric.estimator, metric.key): metric.value for metric in found.metrics},
+        )
+
+    def refuse_other(self, *, digest: str, reference: str | None) -> None:
+        """Raise DataError if results on other data, or against another reference, are to be compared."""
+        if self.digest != digest:
+            raise DataError(
+                f"{self.path}: of other data ({self.data}, digest {self.digest[:10]}, here {digest[:10]}), "
+                "so its errors are no measure; save results of this data"
+            )
+        if self.reference != reference:
+            raise DataError(
+                f"{self.path}: scored against {self.reference or 'no reference'}, here it is "
+                f"{reference or 'none'}; save results with the same reference"
+            )
+
+    def checks(self, estimators: tuple[str, ...], *, tolerance: float) -> tuple[Check, ...]:
+        """Checks that no metric of accuracy of these runs has become worse by more than a share.
+
+        What the saved results have and the new ones lack does not hold.
+
+        Raises
+        ------
+        DataError
+            If the saved results have no such metric.
+        """
+        found = tuple(
+            Check(estimator=name, metric=key, at_most=1.0 + tolerance, times=SAVED)
+            for name, key in self.values
+            if name in estimators and key.startswith(_SMALLER_IS_BETTER)
+        )
+        if not found:
+            raise DataError(f"{self.path}: no error of {', '.join(estimators)} in it to compare with")
+        return found
+
+
+def _tree(path: Path) -> dict[str, Any]:
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise DataError(f"{path}: not a metrics.json ({str(error).splitlines()[0]})") from None
+    if not isinstance(tree, dict):
+        raise DataError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
+    return tree
