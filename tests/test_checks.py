@@ -43,13 +43,13 @@ class Fake:
     value: float
     freedom: int = 6
     samples: int = 300
-    effective_samples: float = 50.0
+    effective: float = 50.0
     name: str = "nees_pose"
     convention: str = "1 is expected"
 
     @property
     def _total(self) -> float:
-        return self.freedom * self.effective_samples
+        return self.freedom * self.effective
 
     def interval(self, probability: float) -> tuple[float, float]:
         return interval(probability, self._total)

@@ -162,6 +162,7 @@ def metrics_document(
         },
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
+        "statistics": evaluation.statistic_records(),
         "attribution": [asdict(rung) for rung in rungs],
         "checks": [verdict.record() for verdict in verdicts],
     }

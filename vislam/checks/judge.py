@@ -166,8 +166,8 @@ class _Judge:
         together = f"{rate:g} for {tests} tests together, Bonferroni" if tests > 1 else f"{rate:g}"
         measured = (
             f"{found.value:.4g}, expected {low:.4g} to {high:.4g} (p {found.p_value():.2g}, "
-            f"{found.effective_samples:.4g} effective of {found.samples} samples, "
-            f"{found.freedom} degrees of freedom each, false-alarm rate {together}; {found.convention})"
+            f"{found.effective:.4g} effective of {found.samples} samples, "
+            f"{found.freedom:.3g} degrees of freedom each, false-alarm rate {together}; {found.convention})"
         )
         return _verdict(check, low <= found.value <= high, measured)
 

@@ -1,5 +1,6 @@
 """Scores saved runs. Knows nothing of estimators: a number can be had again without running one."""
 
-from vislam.evaluation.evaluate import Evaluation, Metric, evaluate
+from vislam.evaluation.evaluate import Evaluation, evaluate
+from vislam.evaluation.metrics import Metric
 
 __all__ = ["Evaluation", "Metric", "evaluate"]

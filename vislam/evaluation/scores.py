@@ -1,92 +1,191 @@
-"""Everything that is known of one run: arrays, which metrics sum up and figures show."""
+"""Everything that is known of a run, and of two: arrays, which metrics sum up and figures show."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
-from vislam.data.reference import Reference
-from vislam.evaluation.alignment import AlignmentKind, admitted, find_alignment
-from vislam.evaluation.association import Matched, associate
-from vislam.evaluation.kitti import KittiDrift, kitti_drift
-from vislam.evaluation.rpe import (
-    RelativeErrors,
-    Segment,
-    displacement_by_distance,
-    displacement_by_time,
-    rpe_by_distance,
-    rpe_by_time,
-    worst_segments,
-)
-from vislam.evaluation.trajectory import AbsoluteErrors, ate, final_drift
+import numpy as np
+
+from vislam.evaluation import maps, normalised
+from vislam.evaluation.agreement import Agreement, agreement
+from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
+from vislam.evaluation.maps import MapDifference, MapErrors
+from vislam.evaluation.normalised import Normalised
+from vislam.evaluation.statistics import Statistic, Whiteness
+from vislam.evaluation.trajectory_scores import TrajectoryScores, score_trajectory
+from vislam.geometry import se3
+from vislam.record import Record, Tracks
+from vislam.run import Run
 from vislam.types import Array, IntArray
-
-LENGTHS = (5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0)
-"""Lengths of segments for relative errors [m]."""
-DURATIONS = (1.0, 5.0, 10.0, 30.0)
-"""Durations of them [s]."""
-WORST_LENGTH = 50.0
-"""Length of the worst segments [m]."""
-_WORST = 5
-_FEWEST = 3
-"""Matched frames without which nothing is said."""
 
 
 @dataclass(frozen=True)
-class TrajectoryScores:
-    """A trajectory against a reference.
+class RunScores:
+    """What is known of one run.
 
     Attributes
     ----------
-    matched : Matched
-    absolute : dict of AlignmentKind to AbsoluteErrors
-        Of each alignment that the reference admits.
-    by_distance, by_time : dict of float to RelativeErrors
-        By the length [m] and the duration [s] of the segments, as far as there are any.
-    kitti : KittiDrift or None
-    final_drift : float or None
-        [%].
-    worst : list of Segment
-        Of ``WORST_LENGTH``.
+    run : Run
+        Levelled: what is planar, or a height, is so against the vertical, where a run knows it.
+    final, causal : TrajectoryScores or None
+        Its poses as known in the end and at their own time; None without a reference.
+    claims : dict of str to Normalised
+        Errors beside what was claimed of them, by the name of the statistic.
+    nis : Statistic or None
+    whiteness : Whiteness or None
+        Of the NIS.
+    map : MapErrors or None
+        Against true landmarks, with the first pose laid on the true one.
+    map_aligned : MapErrors or None
+        The same with the alignment of the whole trajectory.
+    held_out : HeldOutScore or None
+        By the tracks that no estimator was given.
     """
 
-    matched: Matched
-    absolute: Mapping[AlignmentKind, AbsoluteErrors]
-    by_distance: Mapping[float, RelativeErrors]
-    by_time: Mapping[float, RelativeErrors]
-    kitti: KittiDrift | None
-    final_drift: float | None
-    worst: list[Segment]
+    run: Run
+    final: TrajectoryScores | None
+    causal: TrajectoryScores | None
+    claims: Mapping[str, Normalised]
+    nis: Statistic | None
+    whiteness: Whiteness | None
+    map: MapErrors | None
+    map_aligned: MapErrors | None
+    held_out: HeldOutScore | None
 
-    @property
-    def headline(self) -> AbsoluteErrors:
-        """Errors after the alignment that the headline is of."""
-        return self.absolute[headline_alignment(self.matched.planar)]
-
-
-def headline_alignment(planar: bool) -> AlignmentKind:
-    """Alignment that the headline is of: rigid, in the plane where the reference is planar."""
-    return "planar" if planar else "se3"
+    @cached_property
+    def statistics(self) -> dict[str, Statistic]:
+        """Every statistic whose distribution is known if the run is consistent, by name."""
+        found = {name: claim.statistic() for name, claim in self.claims.items()}
+        return found if self.nis is None else {"nis": self.nis, **found}
 
 
-def score_trajectory(
-    frame: IntArray, stamp: Array, world_T_imu: Array, reference: Reference
-) -> TrajectoryScores | None:
-    """Score poses ``(T, 4, 4)`` of frames and stamps ``(T,)`` [s]; None if too few have a reference."""
-    matched = associate(frame, stamp, world_T_imu, reference)
-    if len(matched.frame) < _FEWEST:
-        return None
-    of_distance, of_time = rpe_by_distance, rpe_by_time
-    if matched.pose is None:
-        of_distance, of_time = displacement_by_distance, displacement_by_time
-    return TrajectoryScores(
-        matched=matched,
-        absolute={kind: ate(matched, find_alignment(kind, matched)) for kind in admitted(matched)},
-        by_distance=_some({length: of_distance(matched, length) for length in LENGTHS}),
-        by_time=_some({duration: of_time(matched, duration) for duration in DURATIONS}),
-        kitti=kitti_drift(matched),
-        final_drift=final_drift(matched),
-        worst=worst_segments(matched, WORST_LENGTH, _WORST),
+@dataclass(frozen=True)
+class PairScores:
+    """What is known of two runs together, with no reference involved.
+
+    Attributes
+    ----------
+    agreement : Agreement or None
+        Of their poses, as known in the end; None where one of them claims nothing.
+    map : MapDifference or None
+    depth, views : (k,)
+        Depth [m] of each landmark of ``map`` from the pose that saw it first, and the number of its views.
+    held_out : Paired or None
+    """
+
+    agreement: Agreement | None
+    map: MapDifference | None
+    depth: Array
+    views: IntArray
+    held_out: Paired | None
+
+
+def score_run(run: Run, record: Record) -> RunScores:
+    """Score one run."""
+    run = run.levelled()
+    reference, held = record.reference, record.held_out
+    final = causal = None
+    if reference is not None:
+        final = score_trajectory(run.frame, run.stamp, run.world_T_imu, reference)
+        causal = score_trajectory(run.frame, run.stamp, run.world_T_imu_causal, reference)
+    joined, aligned = _map_errors(run, record, final)
+    return RunScores(
+        run=run,
+        final=final,
+        causal=causal,
+        claims={claim.name: claim for claim in _claims(run, record, final, joined)},
+        nis=normalised.nis_statistic(run),
+        whiteness=normalised.nis_whiteness(run),
+        map=joined,
+        map_aligned=aligned,
+        held_out=(
+            score(HeldOut(held.frame, held.track, held.z, record.rig), run.world_T_imu, frame=run.frame)
+            if len(held.track)
+            else None
+        ),
     )
 
 
-def _some(found: dict[float, RelativeErrors]) -> dict[float, RelativeErrors]:
-    return {key: errors for key, errors in found.items() if len(errors.first)}
+def _claims(
+    run: Run, record: Record, final: TrajectoryScores | None, joined: MapErrors | None
+) -> list[Normalised]:
+    """Errors of poses, biases and landmarks beside what the run claims of them."""
+    reference, found = record.reference, list[Normalised | None]()
+    if reference is None or final is None:
+        return []
+    smoothed = not np.array_equal(run.world_T_imu, run.world_T_imu_causal)
+    for causal in (False, True) if smoothed else (False,):
+        if reference.pose is not None:
+            found += (normalised.pose_errors(run, reference, causal=causal) or {}).values()
+        else:
+            laid = find_alignment("planar", final.matched)
+            rotation, translation = laid.rotation[:2, :2], laid.translation[:2]
+            found.append(
+                normalised.position_errors(
+                    run, reference, rotation=rotation, translation=translation, causal=causal
+                )
+            )
+    if reference.bias is not None:
+        found.append(normalised.bias_errors(run, reference.bias))
+    if joined is not None:
+        found.append(joined.normalised)
+    return [claim for claim in found if claim is not None]
+
+
+def _map_errors(
+    run: Run, record: Record, final: TrajectoryScores | None
+) -> tuple[MapErrors | None, MapErrors | None]:
+    """Landmarks against the true ones, by the first pose and by the trajectory's alignment."""
+    reference = record.reference
+    if final is None or reference is None or reference.pose is None or not len(reference.track):
+        return None, None
+    depth = _depth(reference.track, reference.points_world, record.given, reference.frame, reference.pose)
+    found = []
+    for kind in ("first_pose", "se3"):
+        laid = find_alignment(kind, final.matched)
+        pose = se3.from_rotation_translation(laid.rotation, laid.translation)
+        found.append(maps.map_errors(run, reference, alignment=pose, depth=depth))
+    return found[0], found[1]
+
+
+def score_pair(one: RunScores, other: RunScores, record: Record) -> PairScores:
+    """Score two runs against each other."""
+    apart = maps.map_difference(one.run, other.run)
+    depth, views = np.empty(0), np.empty(0, np.int64)
+    if apart is not None:
+        own = np.searchsorted(one.run.track, apart.track, sorter=(order := np.argsort(one.run.track)))
+        points = one.run.points_world[order[own]]
+        depth = _depth(apart.track, points, record.given, one.run.frame, one.run.world_T_imu)
+        views = np.bincount(record.given.track, minlength=int(apart.track.max()) + 1)[apart.track]
+    better = None
+    if one.held_out is not None and other.held_out is not None and len(one.held_out.track):
+        better = paired(one.held_out, other.held_out)
+    return PairScores(
+        agreement=agreement(one.run, other.run),
+        map=apart,
+        depth=depth,
+        views=views,
+        held_out=better,
+    )
+
+
+def _depth(track: IntArray, points: Array, tracks: Tracks, frame: IntArray, poses: Array) -> Array:
+    """Distance ``(k,)`` [m] of points from the pose that saw them first; NaN where it is unknown.
+
+    Parameters
+    ----------
+    track, points : (k,), (k, 3)
+    tracks : Tracks
+    frame, poses : (T,), (T, 4, 4)
+    """
+    seen, first = np.unique(tracks.track, return_index=True)
+    depth = np.full(len(track), np.nan)
+    if not len(seen) or not len(frame):
+        return depth
+    place = np.minimum(np.searchsorted(seen, track), len(seen) - 1)
+    begin = tracks.frame[first[place]]
+    at = np.minimum(np.searchsorted(frame, begin), len(frame) - 1)
+    known = (seen[place] == track) & (frame[at] == begin)
+    depth[known] = np.linalg.norm(points[known] - poses[at[known], :3, 3], axis=1)
+    return depth

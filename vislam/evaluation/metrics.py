@@ -1,0 +1,222 @@
+"""Numbers out of scores: what ``metrics.json`` lists, each with its unit and what it was measured against."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.evaluation import trajectory
+from vislam.evaluation.alignment import align
+from vislam.evaluation.normalised import MULTIPLES
+from vislam.evaluation.scores import PairScores, RunScores
+from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
+from vislam.geometry import se3
+from vislam.run import Run
+from vislam.types import Array
+
+_SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
+_YAW = 2
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number, kept in full.
+
+    Attributes
+    ----------
+    estimator : str
+        Name of the run; ``a|b`` for a comparison of two.
+    key, unit : str
+    value : float
+    against : str
+        The reference it was measured against; empty if none was needed.
+    convention : str
+        Alignment, gauge and form of the error, where there is a choice.
+    """
+
+    estimator: str
+    key: str
+    value: float
+    unit: str
+    against: str = ""
+    convention: str = ""
+
+
+def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
+    """Metrics of one run; ``reference`` is the name of what it was scored against."""
+    name = scores.run.name
+    for suffix, found in (("", scores.final), ("_causal", scores.causal)):
+        if found is not None:
+            for key, value, unit, convention in _headline(found):
+                yield Metric(name, f"{key}{suffix}", value, unit, reference, convention)
+    if scores.final is not None:
+        for key, value, unit, convention in _trajectory(scores.final):
+            yield Metric(name, key, value, unit, reference, convention)
+    for key, value, unit, convention in (*_map(scores), *_claims(scores)):
+        yield Metric(name, key, value, unit, reference, convention)
+    for key, value, unit in (*_of_itself(scores.run), *_innovations(scores), *_held_out(scores)):
+        yield Metric(name, key, value, unit)
+
+
+def _headline(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:
+    """Errors of which it matters whether they are known at their own time or in the end."""
+    yield "ate_planar_rmse", scores.absolute["planar"].position.rmse, "m", "alignment planar"
+    if not scores.matched.planar:
+        yield "ate_rmse", scores.absolute["se3"].position.rmse, "m", "alignment se3"
+    if scores.kitti is not None:
+        yield "kitti_t_rel", scores.kitti.t_rel, "%", "KITTI odometry kit, 100 to 800 m"
+        yield "kitti_r_rel", scores.kitti.r_rel, "deg/100m", "KITTI odometry kit, 100 to 800 m"
+
+
+def _trajectory(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:
+    """All other errors of a trajectory."""
+    yield from _absolute(scores)
+    yield from _relative(scores)
+    if scores.kitti is not None:
+        for length, drift in scores.kitti.by_length().items():
+            yield f"kitti_t_rel_{length}m", drift.t_rel, "%", "KITTI odometry kit"
+            yield f"kitti_r_rel_{length}m", drift.r_rel, "deg/100m", "KITTI odometry kit"
+    if scores.final_drift is not None:
+        yield "drift_end", scores.final_drift, "%", "alignment first_pose, of the way driven"
+    yield "frames_without_reference", float(scores.matched.estimate_dropped), "1", ""
+    yield "reference_without_frame", float(scores.matched.reference_dropped), "1", ""
+
+
+def _absolute(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:
+    main = headline_alignment(scores.matched.planar)
+    for kind, errors in scores.absolute.items():
+        told = f"alignment {kind}"
+        if kind not in ("se3", "planar"):
+            yield f"ate_{kind}_rmse", errors.position.rmse, "m", told
+        if kind == main:
+            position = errors.position
+            for key, value in (("mean", position.mean), ("median", position.median), ("max", position.max)):
+                yield f"ate_{key}", value, "m", told
+        if errors.rotation is not None and kind in (main, "first_pose"):
+            key = "ate_rotation_rmse" if kind == main else f"ate_rotation_{kind}_rmse"
+            yield key, float(np.rad2deg(errors.rotation.rmse)), "deg", told
+
+
+def _relative(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:
+    kind, told = "rpe", ""
+    if scores.matched.pose is None:
+        kind, told = "displacement", "in the plane, alignment planar"
+    by = [(f"{length:g}m", errors) for length, errors in scores.by_distance.items()]
+    by += [(f"{duration:g}s", errors) for duration, errors in scores.by_time.items()]
+    for text, errors in by:
+        if errors.translation is not None:
+            yield f"{kind}_{text}_rmse", errors.translation.rmse, "m", told
+        if errors.rotation is not None:
+            yield f"{kind}_{text}_rotation_rmse", float(np.rad2deg(errors.rotation.rmse)), "deg", told
+    if scores.worst:
+        told = f"the worst {WORST_LENGTH:g} m, from frame {scores.worst[0].first} to {scores.worst[0].last}"
+        yield f"{kind}_worst_{WORST_LENGTH:g}m", scores.worst[0].error, "m", told
+
+
+def _map(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
+    for key, found, told in (
+        ("map_error", scores.map, "alignment first_pose"),
+        ("map_error_aligned", scores.map_aligned, "alignment se3"),
+    ):
+        if found is not None:
+            yield f"{key}_median", float(np.median(found.distance)), "m", told
+            yield f"{key}_rmse", float(np.sqrt(np.mean(found.distance**2))), "m", told
+    if scores.map is not None:
+        told = "of the true landmarks of the tracks that were given"
+        yield "map_completeness", scores.map.estimated, "1", told
+        yield "map_found", scores.map.found, "1", f"{told}, within 0.5 m or 5 % of the depth"
+
+
+def _claims(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
+    """Averages of normalised errors, and shares of errors within multiples of what was claimed."""
+    for name, claim in scores.claims.items():
+        yield name, scores.statistics[name].value, "1", claim.convention
+        shares = claim.within().mean(axis=1)
+        for multiple, share in zip(MULTIPLES, shares, strict=True):
+            key = f"coverage_{name.removeprefix('nees_')}_{multiple:g}sigma"
+            yield key, float(share), "1", "mean over the components"
+
+
+def _of_itself(run: Run) -> Iterator[tuple[str, float, str]]:
+    yield "path_length", trajectory.path_length(run.world_T_imu), "m"
+    yield "height_end", float(run.world_T_imu[-1, 2, 3]), "m"
+    yield "frames", float(len(run.stamp)), "1"
+    if not len(run.step_time):
+        # From elsewhere: nobody knows how it was made.
+        return
+    for key, percentile in _SPEED_KEYS.items():
+        yield key, float(1e3 * np.percentile(run.step_time, percentile)), "ms"
+    yield "total_time_s", run.total_time, "s"
+    yield "peak_rss_mb", run.peak_rss / 1e6, "MB"
+    yield "landmarks", float(len(run.track)), "1"
+    yield "observations_used", float(run.used.sum()), "1"
+    yield "observations_gated", float(run.gated.sum()), "1"
+
+
+def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:
+    if scores.nis is not None:
+        yield "nis_per_dof", scores.nis.value, "1"
+    if scores.whiteness is not None:
+        yield "nis_autocorrelation", float(scores.whiteness.autocorrelation[0]), "1"
+        yield "nis_white_p", scores.whiteness.p_value, "1"
+    gained = scores.run.world_gained
+    if np.isfinite(gained).all() and len(gained):
+        yield "yaw_information_gained", float(gained[:, _YAW].sum()), "1/rad^2"
+        yield "position_information_gained", float(gained[:, 3:].sum(axis=0).mean()), "1/m^2"
+
+
+def _held_out(scores: RunScores) -> Iterator[tuple[str, float, str]]:
+    if scores.held_out is not None and len(scores.held_out.track):
+        yield "held_out_median", scores.held_out.median, "px"
+        yield "held_out_rms", scores.held_out.capped_rms, "px"
+        yield "tracks_held_out_capped", float(scores.held_out.capped), "1"
+
+
+def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Metric]:
+    """Metrics of two runs against each other."""
+    pair = f"{one.run.name}|{other.run.name}"
+    for key, value, unit in (*_apart(one.run, other.run), *_agreement(scores)):
+        yield Metric(pair, key, value, unit)
+
+
+def _apart(one: Run, other: Run) -> Iterator[tuple[str, float, str]]:
+    """How far two runs are apart: poses aligned by nothing but their common start, and maps."""
+    frames, first, second = np.intersect1d(one.frame, other.frame, return_indices=True)
+    if len(frames) < 3:
+        return
+    positions, others = one.world_T_imu[first, :3, 3], other.world_T_imu[second, :3, 3]
+    yield "trajectory_distance_rmse", _rms(positions - others), "m"
+    rotation, translation = align(others, positions)
+    yield "trajectory_distance_aligned_rmse", _rms(positions - (others @ rotation.T + translation)), "m"
+    common, first, second = np.intersect1d(one.track, other.track, return_indices=True)
+    if len(common):
+        pose = se3.from_rotation_translation(rotation, translation)
+        gap = one.points_world[first] - se3.transform(pose, other.points_world[second])
+        yield "landmarks_common", float(len(common)), "1"
+        yield "map_distance_median", float(np.median(np.linalg.norm(gap, axis=1))), "m"
+
+
+def _agreement(scores: PairScores) -> Iterator[tuple[str, float, str]]:
+    """How far apart in what they claim themselves, and which predicts the held-out tracks better."""
+    if scores.agreement is not None:
+        found = scores.agreement
+        yield "distance_per_freedom", found.per_freedom, "1"
+        yield "poses_beyond_95", found.share_beyond(), "1"
+        parting, certainty = found.parting(), found.certainty()
+        if parting is not None:
+            yield "parting_frame", float(parting), "1"
+        yield "variance_ratio", certainty.overall, "1"
+        yield f"variance_ratio_smallest_{certainty.smallest_along}", certainty.smallest, "1"
+        yield f"variance_ratio_largest_{certainty.largest_along}", certainty.largest, "1"
+    if scores.map is not None and np.isfinite(scores.map.squared).any():
+        known = scores.map.squared[np.isfinite(scores.map.squared)]
+        yield "landmark_distance_per_freedom", float(known.mean()) / 3.0, "1"
+    if scores.held_out is not None:
+        yield "held_out_better", scores.held_out.better, "1"
+        yield "held_out_better_low", scores.held_out.low, "1"
+        yield "held_out_better_high", scores.held_out.high, "1"
+        yield "held_out_p", scores.held_out.p_value, "1"
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
