@@ -16,7 +16,7 @@ FRAMES = 400
 def covariances(rng, count=FRAMES):
     """Covariances of poses, of some millimetres and milliradians."""
     factor = np.diag([2e-3] * 3 + [0.01] * 3) @ (np.eye(6) + 0.3 * rng.normal(size=(count, 6, 6)))
-    return factor @ factor.transpose(0, 2, 1)
+    return factor @ factor.transpose(0, 2, 1) + np.diag([1e-7] * 3 + [1e-6] * 3)
 
 
 def drawn(rng, truth, cov):

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.evaluation.test_statistics import decaying
 from vislam.data.reference import Reference
+from vislam.evaluation.consistency import PARTS
 from vislam.evaluation.normalised import (
     PROBABILITIES,
     bias_errors,
@@ -207,3 +209,31 @@ def test_shares_within_multiples_are_those_of_normal_errors(rng):
     found = pose_errors(run, of_truth(truth))["pose"].within()
     assert found.shape == (3, 6)
     assert np.allclose(found.T, [0.683, 0.954, 0.997], atol=0.1)
+
+
+def reckoned(rng, runs, frames=200):
+    """A winding drive, and many runs of dead reckoning over it with their exact covariances."""
+    sigma = np.array([1e-4, 1e-4, 3e-4, 0.02, 0.01, 0.01])
+    twist = np.zeros((frames, 6))
+    twist[:, 3] = 1.0
+    twist[:, 2] = 0.02 * np.sin(np.arange(frames) / 40.0)
+    step = se3.exp(twist)
+    truth, estimate, cov = [np.eye(4)], [np.tile(np.eye(4), (runs, 1, 1))], [1e-12 * np.eye(6)]
+    for motion in step[1:]:
+        back = se3.adjoint(se3.inverse(motion))
+        truth.append(truth[-1] @ motion)
+        estimate.append(estimate[-1] @ motion @ se3.exp(sigma * rng.normal(size=(runs, 6))))
+        cov.append(back @ cov[-1] @ back.T + np.diag(sigma**2))
+    return np.array(truth), np.array(estimate), np.array(cov)
+
+
+def test_dead_reckoning_whose_errors_never_decorrelate_is_accused_no_more_often_than_stated(rng):
+    truth, estimates, cov = reckoned(rng, runs=100)
+    reference = of_truth(truth)
+    sound = [p_values(made_run("one", estimates[:, k], pose_cov=cov), reference) for k in range(100)]
+    for part in PARTS:
+        found = np.array([one[part] for one in sound])
+        for nominal in (0.01, 0.05):
+            assert np.sum(found < nominal) <= binom.ppf(0.999, 100, nominal)
+    bold = [p_values(made_run("one", estimates[:, k], pose_cov=cov / 9.0), reference) for k in range(100)]
+    assert np.mean([one["pose"] < SUSPECT for one in bold]) > 0.8

@@ -25,7 +25,7 @@ MULTIPLES = (1.0, 2.0, 3.0)
 """Of the claimed standard deviation, within which errors are counted."""
 _FLOOR = 1e-9
 """A claimed standard deviation below this [rad, m, rad/s, m/s] is no claim, but a zero with rounding."""
-_SINGULAR = 1e-10
+_SINGULAR = 1e-12
 """Smallest eigenvalue of a correlation matrix that is more than rounding."""
 
 
