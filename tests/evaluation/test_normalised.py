@@ -1,0 +1,239 @@
+"""Errors drawn from what a run claims are consistent with it; planted faults in the claim are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from tests.evaluation.test_evaluation import circle, made_run, of_truth
+from tests.evaluation.test_statistics import decaying
+from vislam.data.reference import Reference
+from vislam.evaluation.consistency import PARTS
+from vislam.evaluation.normalised import (
+    PROBABILITIES,
+    bias_errors,
+    nis_statistic,
+    nis_whiteness,
+    pose_errors,
+    position_errors,
+)
+from vislam.geometry import se3
+
+FRAMES = 500
+LENGTH = 3.0
+SUSPECT = 1e-3
+SWAP = [3, 4, 5, 0, 1, 2]
+
+
+def body_cov():
+    """Covariance on the right of a pose: more certain across the way than along it, and correlated."""
+    sigma = np.array([1e-3, 2e-3, 8e-3, 0.5, 0.05, 0.1])
+    correlation = np.eye(6)
+    correlation[2, 4] = correlation[4, 2] = 0.9
+    correlation[1, 5] = correlation[5, 1] = -0.9
+    return correlation * np.outer(sigma, sigma)
+
+
+def drive(rng):
+    """A true drive and a run that starts exactly and claims the covariance its errors are drawn from."""
+    truth = circle(frames=FRAMES)
+    error = decaying(LENGTH, 6)(rng) @ np.linalg.cholesky(body_cov()).T
+    error[0] = 0.0
+    estimate = truth @ se3.inverse(se3.exp(error))
+    return truth, made_run("one", estimate, pose_cov=np.tile(body_cov(), (FRAMES, 1, 1)))
+
+
+def p_values(run, reference):
+    return {part: found.statistic().p_value() for part, found in pose_errors(run, reference).items()}
+
+
+def test_errors_drawn_from_the_claim_are_consistent_with_it(rng):
+    truth, run = drive(rng)
+    found = pose_errors(run, of_truth(truth))
+    assert set(found) == {"pose", "rotation", "position"}
+    for part, one in found.items():
+        statistic = one.statistic()
+        assert statistic.name == f"nees_{part}"
+        assert statistic.p_value() > SUSPECT
+        low, high = statistic.interval(0.999)
+        assert low < statistic.value < high
+    assert np.allclose(
+        found["pose"].nees,
+        np.einsum("ti,ij,tj->t", found["pose"].error, np.linalg.inv(body_cov()), found["pose"].error),
+    )
+
+
+def in_world(cov, pose):
+    turn = np.zeros((len(pose), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = pose[:, :3, :3]
+    return turn @ cov @ turn.transpose(0, 2, 1)
+
+
+FAULTS = {
+    "tangent order swapped": lambda cov, pose: cov[:, SWAP][:, :, SWAP],
+    "half the noise": lambda cov, pose: 0.25 * cov,
+    "twice the noise": lambda cov, pose: 4.0 * cov,
+    "sign between rotation and translation": lambda cov, pose: (
+        cov * np.kron([[1, -1], [-1, 1]], np.ones((3, 3)))
+    ),
+    "world axes": in_world,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_in_the_claim_is_found(rng, fault):
+    truth, run = drive(rng)
+    wrong = replace(run, pose_cov=FAULTS[fault](run.pose_cov, run.world_T_imu))
+    assert p_values(run, of_truth(truth))["pose"] > SUSPECT
+    assert p_values(wrong, of_truth(truth))["pose"] < SUSPECT
+
+
+def test_worlds_are_joined_and_a_rigid_motion_of_either_changes_nothing(rng):
+    truth, run = drive(rng)
+    plain = pose_errors(run, of_truth(truth))
+    moved = replace(run, world_T_imu=se3.exp(rng.normal(size=6)) @ run.world_T_imu)
+    other = pose_errors(moved, of_truth(se3.exp(rng.normal(size=6)) @ truth))
+    for part in plain:
+        assert np.allclose(plain[part].nees, other[part].nees, rtol=1e-6)
+
+
+def test_another_point_of_the_body_has_another_position_error_and_the_same_pose_nees(rng):
+    truth, run = drive(rng)
+    lever = se3.exp(np.array([0.3, -0.2, 1.0, 2.0, -1.0, 0.5]))
+    there = truth @ lever
+    reference = replace(of_truth(there), imu_T_point=lever)
+    here, moved = pose_errors(run, of_truth(truth)), pose_errors(run, reference)
+    assert np.allclose(here["pose"].nees, moved["pose"].nees, rtol=1e-6)
+    assert not np.allclose(here["position"].nees, moved["position"].nees, rtol=1e-2)
+    # The point swings about the body as the body turns.
+    error = np.einsum("tij,tj->ti", se3.adjoint(se3.inverse(lever))[None], here["pose"].error)
+    assert np.allclose(moved["pose"].error, error, atol=1e-9)
+    for one in moved.values():
+        assert one.statistic().p_value() > SUSPECT
+
+
+def test_frames_without_a_claim_are_left_out(rng):
+    truth, run = drive(rng)
+    cov = run.pose_cov.copy()
+    cov[5] = np.nan
+    cov[6] = 0.0
+    cov[7] = np.ones((6, 6))
+    cov[8] = 1e-30 * np.eye(6)
+    found = pose_errors(replace(run, pose_cov=cov), of_truth(truth))
+    for one in found.values():
+        assert np.array_equal(one.index, [*range(1, 5), *range(9, FRAMES)])
+        assert one.statistic().samples == FRAMES - 5
+
+
+def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
+    truth, run = drive(rng)
+    assert pose_errors(run, of_truth(truth), causal=True) is None
+    assert pose_errors(run, replace(of_truth(truth), pose=None)) is None
+    assert (
+        position_errors(run, of_truth(truth), rotation=np.eye(3), translation=np.zeros(3), causal=True)
+        is None
+    )
+    assert bias_errors(run, np.zeros(6)) is None
+    assert nis_statistic(run) is None
+    assert nis_whiteness(run) is None
+
+
+def test_poses_at_their_own_time_have_their_own_covariances(rng):
+    truth, run = drive(rng)
+    causal = replace(
+        run, world_T_imu_causal=run.world_T_imu, pose_cov_causal=4.0 * run.pose_cov, world_T_imu=truth
+    )
+    final, own = pose_errors(run, of_truth(truth)), pose_errors(causal, of_truth(truth), causal=True)
+    assert np.allclose(own["pose"].nees, 0.25 * final["pose"].nees)
+    assert own["pose"].name == "nees_pose_causal"
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_positions_alone_are_compared_in_the_world_of_the_reference(rng, size):
+    truth, run = drive(rng)
+    lever = se3.exp(np.array([0.0, 0.0, 0.4, 1.0, 0.5, 0.2]))
+    move = se3.exp(np.array([0.0, 0.0, 0.8, 10.0, -20.0, 3.0]))
+    position = (move @ truth @ lever)[:, :size, 3]
+    reference = Reference("survey", "", np.arange(FRAMES), position, None, lever)
+    alignment = {"rotation": move[:size, :size], "translation": move[:size, 3]}
+    sound = position_errors(run, reference, **alignment)
+    assert sound.error.shape == (FRAMES, size)
+    assert sound.statistic().p_value() > SUSPECT
+    assert "only values above 1 accuse" in sound.convention
+    wrong = replace(run, pose_cov=in_world(run.pose_cov, run.world_T_imu))
+    assert position_errors(wrong, reference, **alignment).statistic().p_value() < SUSPECT
+
+
+def test_the_bias_is_compared_with_the_true_one(rng):
+    true = np.array([0.01, 0.02, -0.01, 0.1, 0.0, -0.1])
+    sigma = np.tile(np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2]), (FRAMES, 1))
+    bias = true - sigma * decaying(LENGTH, 6)(rng)
+    # The first is not given.
+    sigma[0] = np.nan
+    run = made_run("one", circle(frames=FRAMES), bias=bias, bias_sigma=sigma)
+    found = bias_errors(run, true)
+    assert np.array_equal(found.index, np.arange(1, FRAMES))
+    assert found.statistic().p_value() > SUSPECT
+    assert np.allclose(found.nees, bias_errors(run, np.tile(true, (FRAMES + 3, 1))).nees)
+    assert bias_errors(run, -true).statistic().p_value() < SUSPECT
+
+
+def test_the_nis_is_averaged_over_the_frames_that_fuse_something(rng):
+    dof = rng.integers(0, 4, FRAMES) * 30
+    nis = np.array([np.sum(rng.normal(size=count) ** 2) for count in dof])
+    run = made_run("one", circle(frames=FRAMES), nis=nis, dof=dof)
+    found = nis_statistic(run)
+    assert found.value == pytest.approx(run.nis_per_dof)
+    assert found.samples == np.sum(dof > 0)
+    assert found.p_value() > SUSPECT
+    assert nis_statistic(replace(run, nis=0.25 * nis)).p_value() < SUSPECT
+    assert nis_whiteness(run).p_value > SUSPECT
+
+
+def test_the_coverage_curve_of_a_sound_claim_is_the_diagonal_and_of_a_bold_one_below_it(rng):
+    truth, run = drive(rng)
+    bold = replace(run, pose_cov=0.25 * run.pose_cov)
+    for part, one in pose_errors(run, of_truth(truth)).items():
+        curve = one.coverage_curve()
+        assert curve.shape == PROBABILITIES.shape
+        assert curve[0] == 0.0
+        assert curve[-1] == 1.0
+        assert np.abs(curve - PROBABILITIES).max() < 0.12
+        below = pose_errors(bold, of_truth(truth))[part].coverage_curve()
+        assert (PROBABILITIES - below).max() > 0.4
+
+
+def test_shares_within_multiples_are_those_of_normal_errors(rng):
+    truth, run = drive(rng)
+    found = pose_errors(run, of_truth(truth))["pose"].within()
+    assert found.shape == (3, 6)
+    assert np.allclose(found.T, [0.683, 0.954, 0.997], atol=0.1)
+
+
+def reckoned(rng, runs, frames=200):
+    """A winding drive, and many runs of dead reckoning over it with their exact covariances."""
+    sigma = np.array([1e-4, 1e-4, 3e-4, 0.02, 0.01, 0.01])
+    twist = np.zeros((frames, 6))
+    twist[:, 3] = 1.0
+    twist[:, 2] = 0.02 * np.sin(np.arange(frames) / 40.0)
+    step = se3.exp(twist)
+    truth, estimate, cov = [np.eye(4)], [np.tile(np.eye(4), (runs, 1, 1))], [1e-12 * np.eye(6)]
+    for motion in step[1:]:
+        back = se3.adjoint(se3.inverse(motion))
+        truth.append(truth[-1] @ motion)
+        estimate.append(estimate[-1] @ motion @ se3.exp(sigma * rng.normal(size=(runs, 6))))
+        cov.append(back @ cov[-1] @ back.T + np.diag(sigma**2))
+    return np.array(truth), np.array(estimate), np.array(cov)
+
+
+def test_dead_reckoning_whose_errors_never_decorrelate_is_accused_no_more_often_than_stated(rng):
+    truth, estimates, cov = reckoned(rng, runs=100)
+    reference = of_truth(truth)
+    sound = [p_values(made_run("one", estimates[:, k], pose_cov=cov), reference) for k in range(100)]
+    for part in PARTS:
+        found = np.array([one[part] for one in sound])
+        for nominal in (0.01, 0.05):
+            assert np.sum(found < nominal) <= binom.ppf(0.999, 100, nominal)
+    bold = [p_values(made_run("one", estimates[:, k], pose_cov=cov / 9.0), reference) for k in range(100)]
+    assert np.mean([one["pose"] < SUSPECT for one in bold]) > 0.8

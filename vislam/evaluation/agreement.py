@@ -1,0 +1,186 @@
+"""How far two runs are apart in what they claim themselves, where nobody knows the truth.
+
+Let both be consistent, with errors ``e_a`` and ``e_b`` of covariances ``P_a`` and ``P_b``. Their difference
+has ``P_a + P_b - C - C^T``, where ``C`` is the unknown covariance between the errors. What holds of it:
+
+- Whatever ``C``, it is at most ``2 (P_a + P_b)``, and along any direction at most ``(sigma_a + sigma_b)^2``.
+- If the two err alike, ``C + C^T >= 0``, it is at most ``P_a + P_b``. Sharing the data, they do as a rule.
+- If b is optimal for all that a has seen, as a smoother is next to the filter of the same model, ``C = P_b``
+  and it is ``P_a - P_b``.
+
+One scale serves all pairs here: ``P_a + P_b``. It is generous in the second case and more so in the third. A
+distance beyond its chi-square bound says that at least one run claims too much. One within it says nothing of
+the truth: both may err alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from vislam.evaluation.consistency import COMPONENTS
+from vislam.evaluation.normalised import usable, whiten
+from vislam.geometry import se3
+from vislam.run import Run
+from vislam.types import Array, IntArray
+
+_STAYS = 10
+"""Frames over which runs that have parted must stay so for the most part."""
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Which of two runs claims to be more certain of its poses, in the median over frames.
+
+    Attributes
+    ----------
+    overall : float
+        Variance that the first claims over that of the second: geometric mean over all directions.
+    smallest, largest : float
+        The same along the directions in which it is smallest and largest.
+    smallest_along, largest_along : str
+        Components closest to these directions in most frames, of ``COMPONENTS``.
+    """
+
+    overall: float
+    smallest: float
+    largest: float
+    smallest_along: str
+    largest_along: str
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Two runs pose by pose, their worlds joined at the first.
+
+    Attributes
+    ----------
+    frame : (n,)
+        Frames of which both give a covariance.
+    difference : (n, 6)
+        ``log(a^-1 b)`` (omega, v), in the axes of the body of the first run [rad, m].
+    squared : (n,)
+        Squared Mahalanobis distance with ``P_a + P_b``.
+    ratios : (n, 6)
+        Generalised eigenvalues of ``(P_a, P_b)``, ascending: variance claimed by the first over that claimed
+        by the second along the directions in which the two covariances are diagonal at once.
+    along : (n, 6)
+        Component, index in ``COMPONENTS``, closest to each of these directions.
+    """
+
+    frame: IntArray
+    difference: Array
+    squared: Array
+    ratios: Array
+    along: IntArray
+
+    @property
+    def per_freedom(self) -> float:
+        """Mean squared distance per degree of freedom; at most 1 expected, at most 2 in any case."""
+        return float(self.squared.mean()) / 6.0
+
+    def share_beyond(self, probability: float = 0.95) -> float:
+        """Share of the frames at which the distance is beyond the chi-square quantile of a probability."""
+        return float(np.mean(self.squared > chi2.ppf(probability, 6)))
+
+    def parting(self, alarm: float = 0.01) -> int | None:
+        """First frame at which the runs contradict each other and keep doing so; None if they never do.
+
+        The squared distance exceeds the bound that consistent runs exceed at any frame at all with
+        probability ``alarm`` at most, by Bonferroni's inequality. That it does so in most of the next few
+        frames too leaves out a single bad pose, from which both went on together.
+        """
+        beyond = self.squared > chi2.isf(alarm / len(self.squared), 6)
+        counted = np.concatenate([[0], np.cumsum(beyond)])
+        start = np.arange(len(beyond))
+        stop = np.minimum(start + _STAYS, len(beyond))
+        stays = beyond & (2 * (counted[stop] - counted[start]) > stop - start)
+        return int(self.frame[np.argmax(stays)]) if stays.any() else None
+
+    def certainty(self) -> Certainty:
+        """Say who claims more, in short."""
+        smallest, largest = np.median(self.ratios[:, [0, -1]], axis=0)
+        overall = np.exp(np.median(np.mean(np.log(self.ratios), axis=1)))
+        along = [COMPONENTS[np.bincount(self.along[:, k]).argmax()] for k in (0, -1)]
+        return Certainty(float(overall), float(smallest), float(largest), along[0], along[1])
+
+
+def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) -> Agreement | None:
+    """Compare two runs pose by pose; None if there is no frame of which both give a covariance.
+
+    The first frame is left out: its difference is zero by construction.
+
+    Parameters
+    ----------
+    one, other : Run
+        On the same frames.
+    causal : two bool
+        Whether to take the poses of each as they were known at their own time.
+    """
+    frames = min(len(one.stamp), len(other.stamp))
+    first, first_cov = _poses(one, frames, causal=causal[0])
+    second, second_cov = _poses(other, frames, causal=causal[1])
+    if frames < 2:
+        return None
+    known = usable(first_cov) & usable(second_cov)
+    known[0] = False
+    if not known.any():
+        return None
+    second = first[0] @ se3.inverse(second[0]) @ second
+    difference = se3.local(first[known], second[known])
+    here = transported(second_cov[known], difference)
+    total = first_cov[known] + here
+    ratios, along = compared(first_cov[known], here)
+    return Agreement(
+        np.flatnonzero(known),
+        difference,
+        np.sum(whiten(difference, total) ** 2, axis=1),
+        ratios,
+        along,
+    )
+
+
+def transported(cov: Array, difference: Array) -> Array:
+    """Covariances on the right of poses ``b``, as covariances of ``log(a^-1 truth)``.
+
+    With ``d = log(a^-1 b)`` and ``truth = b exp(e_b)`` the error of ``a`` is ``d + J^-1 e_b`` to first order
+    in ``e_b``, J the right Jacobian at ``d``: Barfoot, *State Estimation for Robotics* (2017), section 7.1.5.
+
+    Parameters
+    ----------
+    cov : (n, 6, 6)
+    difference : (n, 6)
+        ``d``.
+    """
+    jacobian = np.linalg.inv(se3.right_jacobian(difference))
+    return np.asarray(jacobian @ cov @ jacobian.transpose(0, 2, 1))
+
+
+def compared(first: Array, second: Array) -> tuple[Array, IntArray]:
+    """Generalised eigenvalues of pairs of covariances, and the components that go with them.
+
+    ``first v = lambda second v``: the error ``v^T e`` has ``lambda`` times the variance in the first. It goes
+    with the component with which it is most correlated, by the second; that has no units.
+
+    Parameters
+    ----------
+    first, second : (n, d, d)
+
+    Returns
+    -------
+    ratios, along : (n, d)
+        Eigenvalues, ascending, and index of the component of each.
+    """
+    factor = np.linalg.cholesky(second)
+    half = np.linalg.solve(factor, first)
+    ratios, vectors = np.linalg.eigh(np.linalg.solve(factor, half.transpose(0, 2, 1)))
+    sigma = np.sqrt(np.diagonal(second, axis1=1, axis2=2))
+    along = np.abs(factor @ vectors / sigma[:, :, None]).argmax(axis=1)
+    return np.asarray(ratios), along
+
+
+def _poses(run: Run, frames: int, *, causal: bool) -> tuple[Array, Array]:
+    if causal:
+        return run.world_T_imu_causal[:frames], run.pose_cov_causal[:frames]
+    return run.world_T_imu[:frames], run.pose_cov[:frames]

@@ -1,0 +1,233 @@
+"""Errors next to what was claimed of them: NEES of poses, positions and biases, and coverage.
+
+All errors are ``truth - estimate`` in the sense of the filters: for poses ``truth = estimate exp(error)``,
+with the covariance on the right of the estimate. Moving the whole world of a run multiplies its poses on the
+left and leaves these errors and covariances untouched, so that worlds may be joined at will.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from vislam.data.reference import Reference
+from vislam.evaluation import statistics
+from vislam.evaluation.consistency import PARTS, coverage
+from vislam.evaluation.statistics import Statistic, Whiteness
+from vislam.geometry import se3
+from vislam.run import Run
+from vislam.types import Array, BoolArray, IntArray
+
+PROBABILITIES = np.linspace(0.0, 1.0, 41)
+"""Nominal probabilities of a coverage curve."""
+MULTIPLES = (1.0, 2.0, 3.0)
+"""Of the claimed standard deviation, within which errors are counted."""
+_FLOOR = 1e-9
+"""A claimed standard deviation below this [rad, m, rad/s, m/s] is no claim, but a zero with rounding."""
+_SINGULAR = 1e-12
+"""Smallest eigenvalue of a correlation matrix that is more than rounding."""
+
+
+@dataclass(frozen=True)
+class Normalised:
+    """Errors of a run and the same errors at unit covariance, if what was claimed of them is true.
+
+    Attributes
+    ----------
+    name : str
+        Of the statistic, for example ``nees_pose``.
+    index : (n,)
+        Frame, or track of a landmark, of each error.
+    error, sigma : (n, d)
+        Errors and their claimed standard deviations [rad, m].
+    whitened : (n, d)
+        ``L^-1 error`` where ``L L^T`` is the claimed covariance, both in axes that stay.
+    convention : str
+    """
+
+    name: str
+    index: IntArray
+    error: Array
+    sigma: Array
+    whitened: Array
+    convention: str
+
+    @property
+    def nees(self) -> Array:
+        """Normalised squared errors ``(n,)``."""
+        return np.asarray(np.sum(self.whitened**2, axis=1))
+
+    def statistic(self) -> Statistic:
+        """Average over all."""
+        return statistics.of_errors(self.name, self.whitened, convention=self.convention)
+
+    def coverage_curve(self, probabilities: Array = PROBABILITIES) -> Array:
+        """Share of the NEES within the chi-square quantile of each probability ``(p,)``; equal if sound."""
+        within = chi2.cdf(np.sort(self.nees), self.whitened.shape[1])
+        return np.asarray(np.searchsorted(within, probabilities, side="right") / len(within))
+
+    def within(self, multiples: Sequence[float] = MULTIPLES) -> Array:
+        """Share ``(m, d)`` of each component within multiples of its claimed standard deviation."""
+        return np.array([coverage(self.error, self.sigma, multiple=multiple) for multiple in multiples])
+
+
+def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict[str, Normalised] | None:
+    """Errors of pose, rotation and position, by part; None where either lacks what it takes.
+
+    Parameters
+    ----------
+    run : Run
+    reference : Reference
+        With full poses, of any point. Its world is moved so that its first pose is the run's at that frame:
+        the errors are those of the motion since then. The covariances are as claimed, with what the run
+        was uncertain of at that frame.
+    causal : bool
+        Whether to take the poses as they were known at their own time.
+    """
+    inside = reference.frame < len(run.stamp)
+    frame = reference.frame[inside]
+    if reference.pose is None or len(frame) < 2:
+        return None
+    estimate, cov = _at_point(run, frame, reference.imu_T_point, causal=causal)
+    target = reference.pose[inside]
+    error = se3.local(estimate, estimate[0] @ se3.inverse(target[0]) @ target)
+    known = usable(cov)
+    # The first error is zero by construction.
+    known[0] = False
+    if not known.any():
+        return None
+    error, cov, turn = error[known], cov[known], estimate[known, :3, :3]
+    convention = (
+        f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
+        f"worlds joined at frame {frame[0]}; covariance as claimed, right perturbation, "
+        + ("at the frame's own time" if causal else "in the end")
+    )
+    level = np.zeros((len(turn), 6, 6))
+    level[:, :3, :3] = level[:, 3:, 3:] = turn
+    staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
+    return {
+        part: Normalised(
+            f"nees_{part}" + ("_causal" if causal else ""),
+            frame[known],
+            error[:, columns],
+            _sigma(cov)[:, columns],
+            whiten(staying[:, columns], staying_cov[:, columns, columns]),
+            convention,
+        )
+        for part, columns in PARTS.items()
+    }
+
+
+def position_errors(
+    run: Run, reference: Reference, *, rotation: Array, translation: Array, causal: bool = False
+) -> Normalised | None:
+    """Errors of the position after a least-squares alignment; None where the run gives no covariance.
+
+    The alignment takes part of the error out: values below 1 say nothing, values above 1 accuse.
+
+    Parameters
+    ----------
+    run : Run
+        Levelled, if the reference is planar.
+    reference : Reference
+        Of positions, of any point.
+    rotation, translation : (d, d), (d,)
+        ``reference ~ rotation @ position + translation`` [m]; d = 2 compares in the plane.
+    causal : bool
+        Whether to take the poses as they were known at their own time.
+    """
+    size = len(translation)
+    inside = reference.frame < len(run.stamp)
+    frame = reference.frame[inside]
+    estimate, cov = _at_point(run, frame, reference.imu_T_point, causal=causal)
+    turn = estimate[:, :3, :3]
+    cov_world = (turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1))[:, :size, :size]
+    cov_world = rotation @ cov_world @ rotation.T
+    error = reference.position[inside, :size] - (estimate[:, :size, 3] @ rotation.T + translation)
+    known = usable(cov_world)
+    if not known.any():
+        return None
+    kind = "planar" if size == 2 else "rigid"
+    return Normalised(
+        f"nees_position_{kind}" + ("_causal" if causal else ""),
+        frame[known],
+        error[known],
+        _sigma(cov_world[known]),
+        whiten(error[known], cov_world[known]),
+        f"error = {reference.name} - position, axes of the reference, after a {kind} least-squares "
+        "alignment that takes part of the error out, so that only values above 1 accuse; covariance as "
+        "claimed of the position in the world, " + ("at the frame's own time" if causal else "in the end"),
+    )
+
+
+def bias_errors(run: Run, truth: Array) -> Normalised | None:
+    """Errors of the twist bias; None where the run claims nothing of it.
+
+    Parameters
+    ----------
+    run : Run
+    truth : (6,) or (T, 6)
+        True bias [rad/s, m/s], of at least the frames of the run.
+    """
+    known = np.all(np.isfinite(run.bias_sigma) & (run.bias_sigma > _FLOOR), axis=1)
+    if not known.any():
+        return None
+    true = truth if truth.ndim == 1 else truth[: len(run.bias)]
+    error, sigma = (true - run.bias)[known], run.bias_sigma[known]
+    return Normalised(
+        "nees_bias",
+        np.flatnonzero(known),
+        error,
+        sigma,
+        error / sigma,
+        "error = truth - bias at each time, axes of the sensor; standard deviations as claimed, taken for "
+        "uncorrelated, since a run gives no more",
+    )
+
+
+def nis_statistic(run: Run) -> Statistic | None:
+    """Average NIS of a run per degree of freedom; None where it gives none."""
+    found = run.dof > 0
+    if not found.any():
+        return None
+    return statistics.of_squares(
+        "nis",
+        run.nis[found],
+        run.dof[found].astype(float),
+        convention="innovation squared in its claimed covariance, of the observations fused at each frame",
+    )
+
+
+def nis_whiteness(run: Run) -> Whiteness | None:
+    """Whether the NIS of a run is white; None where it gives too few."""
+    found = run.dof > 0
+    return statistics.whiteness(run.nis[found], run.dof[found].astype(float))
+
+
+def usable(cov: Array) -> BoolArray:
+    """Which covariances ``(n, d, d)`` are given and are more than zero and rounding."""
+    size = cov.shape[-1]
+    diagonal = np.diagonal(cov, axis1=-2, axis2=-1)
+    given = np.isfinite(cov).all(axis=(1, 2)) & (diagonal > _FLOOR**2).all(axis=1)
+    known: BoolArray = np.asarray(given, np.bool_)
+    safe = np.where(known[:, None, None], cov, np.eye(size))
+    sigma = _sigma(safe)
+    correlation = safe / (sigma[:, :, None] * sigma[:, None, :])
+    return np.asarray(known & (np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR), np.bool_)
+
+
+def whiten(error: Array, cov: Array) -> Array:
+    """Errors ``(n, d)`` at unit covariance, by the Cholesky factors of covariances ``(n, d, d)``."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(cov), error[:, :, None])[:, :, 0])
+
+
+def _at_point(run: Run, frame: IntArray, imu_T_point: Array, *, causal: bool) -> tuple[Array, Array]:
+    """Poses of a point of the body, and their covariances on the right."""
+    poses, cov = (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
+    move = se3.adjoint(se3.inverse(imu_T_point))
+    return poses[frame] @ imu_T_point, move @ cov[frame] @ move.T
+
+
+def _sigma(cov: Array) -> Array:
+    return np.asarray(np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1)))
