@@ -41,10 +41,10 @@ class Errors:
 
 AXES: Mapping[str, str] = {
     "ate": "ATE [m]",
-    "way_10": "way, 10 m [%]",
-    "way_100": "way, 100 m [%]",
-    "turn_10": "turn, 10 m [deg]",
-    "across_10": "across, 10 m [m]",
+    "way_10": "way 10 m [%]",
+    "way_100": "way 100 m [%]",
+    "turn_10": "turn 10 m [deg]",
+    "across_10": "across 10 m [m]",
 }
 """Short names of the errors."""
 

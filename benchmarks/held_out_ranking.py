@@ -230,6 +230,7 @@ def _measure(options: argparse.Namespace) -> int:
         drawn = dots(
             dict(zip(found.runs, found.scores("median"), strict=True)),
             {title: found.errors(key) for key, title in AXES.items()},
+            reference=(found.reference, found.reference_score.median),
             title=f"{found.drive}: held-out tracks against {found.reference}",
         )
         with replace_whole(options.figure) as temporary:

@@ -43,7 +43,7 @@ class HeldOut:
     frame, track : (n,)
         Frame and track of each.
     z : (n, 3)
-        Measurement (uL, uR, v) [px].
+        Measurement (uL, uR, v) [px], repaired: no disparity is zero.
     rig : StereoRig
         What it was measured with.
     """
@@ -226,7 +226,7 @@ def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
     drawn = generator.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=_DRAWS)
     shares = 0.5 + 0.5 * (drawn @ balance) / (drawn @ tracks)
     swapped = generator.choice([-1.0, 1.0], size=(_DRAWS, len(tracks))) @ balance
-    as_far = np.count_nonzero(np.abs(swapped) >= np.abs(balance.sum()))
+    as_far = int(np.count_nonzero(np.abs(swapped) >= np.abs(balance.sum())))
     low, high = np.quantile(shares, [0.025, 0.975])
     return Paired(
         better=float(0.5 + 0.5 * balance.sum() / tracks.sum()),
