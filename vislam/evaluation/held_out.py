@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 from vislam.data.sequence import Sequence
 from vislam.sensors import StereoRig
 from vislam.sensors.noise import SHARES
-from vislam.triangulation import NEAREST, triangulate
+from vislam.triangulation import triangulate
 from vislam.types import Array, BoolArray, IntArray
 
 FEWEST_VIEWS = 4
@@ -197,10 +197,9 @@ def _track_rms(rig: StereoRig, world_T_imu: Array, z: Array, views: IntArray) ->
     predicted = (place < views[:, None]) & ~fitted
     sigma = np.where(fitted[..., None], SHARES, np.inf)
     found = triangulate(rig, world_T_imu @ rig.imu_T_cam, z, sigma)
-    solved = found.solved & np.all((found.depth > NEAREST) | ~predicted, axis=1)
     square = np.mean((found.residual / SHARES) ** 2, axis=2)
     mean = np.sum(square, axis=1, where=predicted) / np.sum(predicted, axis=1)
-    return np.where(solved, np.sqrt(mean), np.inf)
+    return np.where(found.solved, np.sqrt(mean), np.inf)
 
 
 def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
