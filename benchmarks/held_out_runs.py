@@ -163,18 +163,21 @@ VARIANTS: Mapping[str, Variant] = {
     "eks": _variant("eks"),
     "ekf_invariant": _variant("ekf_invariant"),
     "ekf": _variant("ekf"),
-    "ekf, no gate, not robust": _variant("ekf", gate=False, robust="none"),
-    "eks, a fifth of the tracks": _variant("eks", _one_track_of(5)),
-    "eks, a twentieth of the tracks": _variant("eks", _one_track_of(20)),
-    "eks, pixels taken for 10 x noisier": _variant("eks", _pixel_noise_times(10.0)),
-    "eks, twist taken for 10 x noisier": _variant("eks", _twist_noise_times(10.0)),
-    "eks, twist taken for 10 x less noisy": _variant("eks", _twist_noise_times(0.1)),
-    "eks, clock wrong by 0.1 s": _variant("eks", _clock_later_by(0.1)),
-    "eks, baseline 5 % too long": _variant("eks", _baseline_times(1.05)),
-    "eks, disparities 1 px too small": _variant("eks", _disparity_less(1.0)),
-    "eks, camera pitched by 1 deg": _variant("eks", _camera_turned(1.0)),
-    "eks, bias taken for none": _variant("eks", _bias_zero),
+    "ekf, as if no outliers": _variant("ekf", gate=False, robust="none"),
+    "eks, tracks: a fifth": _variant("eks", _one_track_of(5)),
+    "eks, tracks: a twentieth": _variant("eks", _one_track_of(20)),
+    "eks, pixel noise: x 10": _variant("eks", _pixel_noise_times(10.0)),
+    "eks, twist noise: x 10": _variant("eks", _twist_noise_times(10.0)),
+    "eks, twist noise: x 0.1": _variant("eks", _twist_noise_times(0.1)),
+    "eks, clock: + 0.1 s": _variant("eks", _clock_later_by(0.1)),
+    "eks, baseline: + 5 %": _variant("eks", _baseline_times(1.05)),
+    "eks, disparities: - 1 px": _variant("eks", _disparity_less(1.0)),
+    "eks, camera: 1 deg": _variant("eks", _camera_turned(1.0)),
+    "eks, bias: none": _variant("eks", _bias_zero),
     "dead reckoning": _variant("dead_reckoning"),
-    "dead reckoning, less the filter's bias": _variant("dead_reckoning", _bias_of_the_filter),
+    "dead reckoning, bias known": _variant("dead_reckoning", _bias_of_the_filter),
 }
-"""Chosen before any was scored, and all of them kept."""
+"""After the comma, what is changed; ``camera`` is its pitch, ``tracks`` the share of them that is left.
+
+Chosen before any was scored, and all of them kept.
+"""

@@ -13,7 +13,7 @@ from vislam.geometry import se3
 from vislam.sensors import StereoRig
 from vislam.types import Array, BoolArray
 
-NEAREST = 1.0
+_NEAREST = 1.0
 """A point nearer to a camera than this cannot have been seen by it [m]."""
 _ITERATIONS = 6
 _SMALLEST_DISPARITY = 0.5
@@ -30,9 +30,8 @@ class Triangulated:
     mean, cov : (n, 3), (n, 3, 3)
         The point as (uL, uR, v) in the first view, and its covariance [px, px^2].
     residual : (n, V, 3)
-        Measured less predicted (uL, uR, v) [px], of all views, those not fitted included.
-    depth : (n, V)
-        Depth in each view [m]; a residual supposes it to be ``NEAREST`` at least.
+        Measured less predicted (uL, uR, v) [px], of all views, those not fitted included. A point behind a
+        camera is taken to be a metre in front of it, where its disparity is large.
     solved : (n,)
         Whether there is such a point, in front of all views that were fitted. What the other arrays hold
         where there is none has no meaning.
@@ -41,7 +40,6 @@ class Triangulated:
     mean: Array
     cov: Array
     residual: Array
-    depth: Array
     solved: BoolArray
 
     @property
@@ -78,7 +76,7 @@ def triangulate(rig: StereoRig, world_T_cam: Array, z: Array, sigma: Array) -> T
         solved &= mean[:, 0] - mean[:, 1] > _SMALLEST_DISPARITY
         mean[~solved] = z[~solved, 0]
         residual, jacobian, depth = _linearise(rig, view_T_first, z, mean)
-        solved &= np.all((depth > NEAREST) | ~fitted, axis=1)
+        solved &= np.all((depth > _NEAREST) | ~fitted, axis=1)
         information = np.einsum("nvia,nvi,nvib->nab", jacobian, weight, jacobian)
         diagonal = np.einsum("naa->na", information)
         solved &= np.linalg.det(information) > _SINGULAR * np.prod(diagonal, axis=1)
@@ -89,15 +87,15 @@ def triangulate(rig: StereoRig, world_T_cam: Array, z: Array, sigma: Array) -> T
     solved &= mean[:, 0] - mean[:, 1] > _SMALLEST_DISPARITY
     mean[~solved] = z[~solved, 0]
     residual, _, depth = _linearise(rig, view_T_first, z, mean)
-    solved &= np.all((depth > NEAREST) | ~fitted, axis=1)
-    return Triangulated(mean, np.linalg.inv(information), residual, depth, solved)
+    solved &= np.all((depth > _NEAREST) | ~fitted, axis=1)
+    return Triangulated(mean, np.linalg.inv(information), residual, solved)
 
 
 def _linearise(rig: StereoRig, view_T_first: Array, z: Array, mean: Array) -> tuple[Array, Array, Array]:
     """Residuals, Jacobians by the disparity-space point, and depths, for every view."""
     moved = se3.transform(view_T_first, rig.back_project(mean)[:, None, None])[:, :, 0]
     depth = moved[..., 2]
-    held = np.concatenate([moved[..., :2], np.maximum(depth, NEAREST)[..., None]], axis=-1)
+    held = np.concatenate([moved[..., :2], np.maximum(depth, _NEAREST)[..., None]], axis=-1)
     by_point = rig.projection_jacobian(held) @ view_T_first[..., :3, :3]
     jacobian = by_point @ rig.back_projection_jacobian(mean)[:, None]
     return z - rig.project(held), jacobian, depth

@@ -46,7 +46,7 @@ def one_track(held, poses, track):
     """Score of one track, by SciPy on a point in the world, predicted views one by one."""
     rows = np.flatnonzero(held.track == track)
     rows = rows[np.argsort(held.frame[rows])]
-    earlier, later = rows[: len(rows) // 2], rows[len(rows) // 2 :]
+    fitted, predicted = rows[::2], rows[1::2]
 
     def residual(point, row):
         cam_T_world = se3.inverse(poses[held.frame[row]] @ held.rig.imu_T_cam)
@@ -54,12 +54,12 @@ def one_track(held, poses, track):
         return (held.z[row] - seen) / SHARES
 
     start = se3.transform(
-        poses[held.frame[later[0]]] @ held.rig.imu_T_cam, held.rig.back_project(held.z[later[:1]])
+        poses[held.frame[fitted[0]]] @ held.rig.imu_T_cam, held.rig.back_project(held.z[fitted[:1]])
     )[0]
     found = least_squares(
-        lambda point: np.concatenate([residual(point, row) for row in later]), start, xtol=1e-15, ftol=1e-15
+        lambda point: np.concatenate([residual(point, row) for row in fitted]), start, xtol=1e-15, ftol=1e-15
     )
-    return np.sqrt(np.mean([residual(found.x, row) ** 2 for row in earlier]))
+    return np.sqrt(np.mean([residual(found.x, row) ** 2 for row in predicted]))
 
 
 def test_true_poses_score_at_the_noise_level(straight):

@@ -4,12 +4,12 @@ A share of the tracks is kept from all estimators. Afterwards each of them is tr
 views at the estimated poses, and predicted in the other half. Poses that are right predict what was measured
 there to within the noise.
 
-What the score sees is the motion within the life of a track, a second or a few: its turn foremost, and its
-length. It does not see the drift that adds up from one track to the next, so of two runs with equal steps and
-unequal ends it prefers neither. Nor does it see what moves poses and points together: another world frame. It
-measures by the rig that it is given, so whoever shares an error of that rig is preferred to whoever has none.
-And it says nothing in pixels alone: noise of the tracker, moving objects and slips are in it as well, in equal
-parts for all runs, so compare scores of the same tracks only.
+What the score sees is the motion within the life of a track, a second or a few, and of that what moves points
+across the line of sight: the turn, and the direction of the way. The length of the way it sees far less, and
+not at all the drift that adds up from one track to the next: of two runs with equal steps and unequal ends it
+prefers neither. It measures by the rig that it is given, so an error that a run shares with that rig goes
+unseen. And it means nothing in pixels alone: noise of the tracker, slips and moving objects are in it, the
+same for all runs, so only scores of the same tracks can be compared.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 from vislam.data.sequence import Sequence
 from vislam.sensors import StereoRig
 from vislam.sensors.noise import SHARES
-from vislam.triangulation import NEAREST, triangulate
+from vislam.triangulation import triangulate
 from vislam.types import Array, BoolArray, IntArray
 
 FEWEST_VIEWS = 4
@@ -43,7 +43,7 @@ class HeldOut:
     frame, track : (n,)
         Frame and track of each.
     z : (n, 3)
-        Measurement (uL, uR, v) [px].
+        Measurement (uL, uR, v) [px], repaired: no disparity is zero.
     rig : StereoRig
         What it was measured with.
     """
@@ -115,7 +115,7 @@ class Paired:
 def hold_out(track: IntArray, *, share: float, seed: int) -> BoolArray:
     """Choose about a share of the tracks that have enough views to be scored, whole tracks.
 
-    A track's luck depends on the seed and on its id alone, not on what other tracks there are or on the order.
+    A track's luck depends on the seed and on its id alone, not on the order or on which others there are.
 
     Parameters
     ----------
@@ -140,9 +140,9 @@ def hold_out(track: IntArray, *, share: float, seed: int) -> BoolArray:
 def score(held: HeldOut, world_T_imu: Array, *, frame: IntArray | None = None) -> HeldOutScore:
     """Score a trajectory.
 
-    The later half of a track's views is triangulated, the earlier half predicted. Driving ahead, the later
-    views are the near ones and fix the point best, and what they say about the earlier ones is as far away as
-    a track allows: the whole turn and way in between has to be right.
+    Every other view of a track is triangulated, beginning with its first, and those in between are predicted.
+    To triangulate its first half and predict the second, or the other way round, ranks trajectories about as
+    well, but adds noise, since a tracker drifts: fewer pairs of runs are told apart.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def score(held: HeldOut, world_T_imu: Array, *, frame: IntArray | None = None) -
     by_length = np.argsort(views, kind="stable")
     for begin in range(0, len(track) if len(frame) else 0, _CHUNK):
         chosen = by_length[begin : begin + _CHUNK]
-        rows = order[_later_half_first(first[chosen], views[chosen])]
+        rows = order[_fitted_first(first[chosen], views[chosen])]
         at = np.minimum(np.searchsorted(frame, held.frame[rows]), len(frame) - 1)
         there = np.all(frame[at] == held.frame[rows], axis=1)
         some = chosen[there]
@@ -169,17 +169,22 @@ def score(held: HeldOut, world_T_imu: Array, *, frame: IntArray | None = None) -
     return HeldOutScore(track, held.frame[order[first]], np.minimum(rms, CAP_PX))
 
 
-def _later_half_first(first: IntArray, views: IntArray) -> IntArray:
-    """Places ``(m, V)`` of the views of each track, the later half before the earlier, padded with the first.
+def _fitted_first(first: IntArray, views: IntArray) -> IntArray:
+    """Places ``(m, V)`` of the views of each track, every other one and then the rest, padded with the first.
 
     Parameters
     ----------
     first, views : (m,)
         Where each track begins, and how many views it has.
     """
-    place = np.arange(views.max(initial=0))
-    turned = (place + (views // 2)[:, None]) % views[:, None]
-    return np.asarray(first[:, None] + np.where(place < views[:, None], turned, turned[:, :1]))
+    place, fitted = np.arange(views.max(initial=0)), _fitted(views)[:, None]
+    chosen = np.where(place < fitted, 2 * place, 2 * (place - fitted) + 1)
+    return np.asarray(first[:, None] + np.where(place < views[:, None], chosen, 0))
+
+
+def _fitted(views: IntArray) -> IntArray:
+    """How many of a track's views are triangulated; the rest is predicted."""
+    return (views + 1) // 2
 
 
 def _track_rms(rig: StereoRig, world_T_imu: Array, z: Array, views: IntArray) -> Array:
@@ -188,14 +193,13 @@ def _track_rms(rig: StereoRig, world_T_imu: Array, z: Array, views: IntArray) ->
     A residual is in units of the white noise of a pixel coordinate: v, a mean of two, has half its variance.
     """
     place = np.arange(z.shape[1])
-    fitted = place < (views - views // 2)[:, None]
+    fitted = place < _fitted(views)[:, None]
     predicted = (place < views[:, None]) & ~fitted
     sigma = np.where(fitted[..., None], SHARES, np.inf)
     found = triangulate(rig, world_T_imu @ rig.imu_T_cam, z, sigma)
-    solved = found.solved & np.all((found.depth > NEAREST) | ~predicted, axis=1)
     square = np.mean((found.residual / SHARES) ** 2, axis=2)
     mean = np.sum(square, axis=1, where=predicted) / np.sum(predicted, axis=1)
-    return np.where(solved, np.sqrt(mean), np.inf)
+    return np.where(found.solved, np.sqrt(mean), np.inf)
 
 
 def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
@@ -221,7 +225,7 @@ def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
     drawn = generator.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=_DRAWS)
     shares = 0.5 + 0.5 * (drawn @ balance) / (drawn @ tracks)
     swapped = generator.choice([-1.0, 1.0], size=(_DRAWS, len(tracks))) @ balance
-    as_far = np.count_nonzero(np.abs(swapped) >= np.abs(balance.sum()))
+    as_far = int(np.count_nonzero(np.abs(swapped) >= np.abs(balance.sum())))
     low, high = np.quantile(shares, [0.025, 0.975])
     return Paired(
         better=float(0.5 + 0.5 * balance.sum() / tracks.sum()),
