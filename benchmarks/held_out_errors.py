@@ -7,7 +7,9 @@ import numpy as np
 
 from vislam.data.reference import Reference
 from vislam.errors import DataError
-from vislam.evaluation.trajectory import distance_driven, match
+from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.association import associate
+from vislam.evaluation.trajectory import ate, distance_driven
 from vislam.geometry import se3, so3
 from vislam.sensors import StereoRig
 from vislam.types import Array
@@ -61,9 +63,11 @@ def errors(world_T_imu: Array, reference: Reference, rig: StereoRig) -> Errors:
     estimate = world_T_imu[reference.frame[inside]] @ rig.imu_T_cam
     wanted = poses(reference)[inside] @ rig.imu_T_cam
     near, far = (_stretches(length, estimate, wanted) for length in (10.0, 100.0))
+    frame = np.arange(len(world_T_imu))
+    matched = associate(frame, frame.astype(float), world_T_imu, reference)
     across = (se3.transform(near, _AHEAD[None, None])[:, 0] - _AHEAD)[:, :2]
     return Errors(
-        ate=match(world_T_imu, reference, planar=False).ate,
+        ate=ate(matched, find_alignment("se3", matched)).position.rmse,
         way_10=100.0 * _mean_norm(near[:, :3, 3]) / 10.0,
         way_100=_mean_norm(far[:, :3, 3]),
         turn_10=float(np.rad2deg(_mean_norm(so3.log(near[:, :3, :3])))),

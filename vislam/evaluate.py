@@ -1,6 +1,6 @@
 """``python -m vislam.evaluate results/<id>``: score saved runs again, beside trajectories from elsewhere.
 
-Exit codes: 0 done, and all checks hold; 1 an estimator had failed; 2 bad results or trajectory; 3 a check fails.
+Exit codes: 0 all checks hold, 1 an estimator had failed, 2 bad results or trajectory, 3 a check does not.
 """
 
 import argparse

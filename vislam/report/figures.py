@@ -1,6 +1,6 @@
 """Figures of a comparison: data in, Figure out."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,9 +41,9 @@ def all_figures(runs: Mapping[str, Run], reference: Reference | None, *, title: 
     return figures
 
 
-def colours(runs: Mapping[str, Run]) -> dict[str, str]:
+def colours(names: Iterable[str]) -> dict[str, str]:
     """One colour for each run, the same in every figure."""
-    return {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(runs)}
+    return {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(names)}
 
 
 def top_view(runs: Mapping[str, Run], reference: Reference | None, *, title: str) -> Figure:
