@@ -21,7 +21,7 @@ from benchmarks.timing import Drive, Part
 from vislam.command import answer
 from vislam.config import Config, DataConfig, NoiseConfig, load
 from vislam.errors import DataError
-from vislam.evaluation.held_out import HeldOut, HeldOutScore, hold_out, paired, score
+from vislam.evaluation.held_out import CAP_PX, HeldOut, HeldOutScore, hold_out, paired, score
 from vislam.files import check_writable, replace_whole
 from vislam.simulation import SimulationConfig
 from vislam.terminal import Terminal
@@ -63,7 +63,7 @@ DATA: Mapping[str, Config | Path] = {
 }
 SCORES: Mapping[str, Callable[[HeldOutScore], float]] = {
     "median": lambda found: found.median,
-    "capped RMS": lambda found: found.capped_rms,
+    "RMS": lambda found: found.capped_rms,
 }
 """Figures of a score [px]."""
 
@@ -134,13 +134,16 @@ def runs_part(found: Ranking) -> Part:
     own = _figures(found.reference_score)
     return Part(
         title=f"{found.drive}: {len(order)} runs by {tracks} held-out tracks",
-        header=["run", *(f"{name} [px]" for name in SCORES), "capped", *AXES.values()],
+        header=["run", "median", "RMS", "capped", *(key.replace("_", " ") for key in AXES)],
         rows=[
             _row(name, found.runs[name].score, [f"{error:.3g}" for error in astuple(found.runs[name].errors)])
             for name in order
         ]
         + [_row(f"({found.reference})", found.reference_score, ["-"] * len(AXES))],
-        notes=(),
+        notes=(
+            f"median, RMS: of the held-out tracks [px], capped: how many have {CAP_PX:g} px or more; "
+            + ", ".join(AXES.values()),
+        ),
         values={
             "tracks": tracks,
             "runs": {name: {**_figures(one.score), **asdict(one.errors)} for name, one in found.runs.items()},
