@@ -140,6 +140,9 @@ class Estimate:
         some out again.
     events : tuple of str
         One line for each thing out of the ordinary that it had to do, such as a rescue.
+    fit : tuple of float, int or None
+        Sum of the squares of all residuals of the estimate, each by its noise, and how many more there are
+        than unknowns; None where that is no chi-square number.
     """
 
     world_T_imu: Array
@@ -151,6 +154,7 @@ class Estimate:
     up: Array | None = None
     fused: tuple[IntArray, IntArray] | None = None
     events: tuple[str, ...] = ()
+    fit: tuple[float, int] | None = None
 
 
 class Estimator(Protocol):
@@ -266,6 +270,7 @@ def run(
         points_cov=None if estimate is None else estimate.points_cov,
         counts={} if estimate is None else estimate.counts,
         events=() if estimate is None else estimate.events,
+        fit=None if estimate is None else estimate.fit,
         **({} if estimate is None or estimate.up is None else {"up": estimate.up}),
     )
 

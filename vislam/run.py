@@ -54,6 +54,8 @@ class Run:
         Direction of up in the world; z where the estimator does not know better.
     events : tuple of str
         One line for each thing out of the ordinary that the estimator had to do.
+    fit : tuple of float, int or None
+        Sum of the squared residuals of the final estimate, each by its noise, and its degrees of freedom.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Run:
     counts: dict[str, int]
     up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     events: tuple[str, ...] = ()
+    fit: tuple[float, int] | None = None
 
     @property
     def complete(self) -> bool:
@@ -124,7 +127,8 @@ class Run:
         try:
             plain, arrays = load_archive(path)
             # JSON has no tuples.
-            return cls(**{**plain, **arrays, "events": tuple(plain["events"])})
+            fit = None if plain["fit"] is None else tuple(plain["fit"])
+            return cls(**{**plain, **arrays, "events": tuple(plain["events"]), "fit": fit})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise DataError(
                 f"{path}: expected a run as this version of vislam saves it, got {first_line(error)}; "

@@ -54,7 +54,12 @@ def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
             yield Metric(name, key, value, unit, reference, convention)
     for key, value, unit, convention in (*_map(scores), *_claims(scores)):
         yield Metric(name, key, value, unit, reference, convention)
-    for key, value, unit in (*_of_itself(scores.run), *_innovations(scores), *_held_out(scores)):
+    for key, value, unit in (
+        *_of_itself(scores.run),
+        *_innovations(scores),
+        *_fit(scores),
+        *_held_out(scores),
+    ):
         yield Metric(name, key, value, unit)
 
 
@@ -170,6 +175,11 @@ def _held_out(scores: RunScores) -> Iterator[tuple[str, float, str]]:
         yield "held_out_median", scores.held_out.median, "px"
         yield "held_out_rms", scores.held_out.capped_rms, "px"
         yield "tracks_held_out_capped", float(scores.held_out.capped), "1"
+
+
+def _fit(scores: RunScores) -> Iterator[tuple[str, float, str]]:
+    if "fit" in scores.statistics:
+        yield "fit_per_dof", scores.statistics["fit"].value, "1"
 
 
 def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Metric]:

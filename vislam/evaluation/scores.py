@@ -56,8 +56,9 @@ class RunScores:
     @cached_property
     def statistics(self) -> dict[str, Statistic]:
         """Every statistic whose distribution is known if the run is consistent, by name."""
-        found = {name: claim.statistic() for name, claim in self.claims.items()}
-        return found if self.nis is None else {"nis": self.nis, **found}
+        found = {"nis": self.nis, "fit": fit_statistic(self.run)}
+        own = {name: statistic for name, statistic in found.items() if statistic is not None}
+        return {**own, **{name: claim.statistic() for name, claim in self.claims.items()}}
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,21 @@ class PairScores:
     depth: Array
     views: IntArray
     held_out: Paired | None
+
+
+def fit_statistic(run: Run) -> Statistic | None:
+    """Squared residuals of a final estimate per degree of freedom; None where that is no chi-square number."""
+    if run.fit is None or run.fit[1] <= 0:
+        return None
+    squares, freedom = run.fit
+    return Statistic(
+        name="fit",
+        value=squares / freedom,
+        freedom=float(freedom),
+        samples=1,
+        effective=1.0,
+        convention="squared residuals of the final estimate, each by its noise, less the unknowns",
+    )
 
 
 def score_run(run: Run, record: Record) -> RunScores:

@@ -136,6 +136,12 @@ class Drive:
         self.tracks = [track for track in self.tracks if track.views]
         return only(values, self.graph()), int(count - good.sum())
 
+    def fit(self, values: gtsam.Values) -> tuple[float, int]:
+        """Sum of the squared residuals, each by its noise, and how many more there are than unknowns."""
+        graph = self.graph()
+        rows = sum(graph.at(index).dim() for index in range(graph.size()))
+        return 2.0 * graph.error(values), rows - values.dim()
+
     def covariances(self, values: gtsam.Values, keys: Sequence[int]) -> list[Array]:
         """Marginal covariances: of a pose on its right, of a point in the world's axes."""
         graph = self.graph()

@@ -95,7 +95,7 @@ class SmootherEstimator:
     def finalize(self) -> Estimate:
         """Return all poses and landmarks, after what the options ask for in the end."""
         options, tracks = self._options, self._tracks.landmarks
-        pose_cov = points_cov = None
+        pose_cov = points_cov = fit = None
         if options.lag_s is not None:
             poses = np.array([*self._left, *(self._engine.pose(X(k)) for k in self._held())])
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
@@ -105,6 +105,8 @@ class SmootherEstimator:
             tracks = drive.tracks
             poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
+            if options.plain:
+                fit = drive.fit(values)
             if options.marginals != "none":
                 asked = [track.key for track in tracks] if options.marginals == "all" else []
                 found = drive.covariances(values, [*(X(k) for k in range(len(poses))), *asked])
@@ -128,6 +130,7 @@ class SmootherEstimator:
                 np.array([track.id for track in tracks for _ in track.views], dtype=np.int64),
             ),
             events=tuple(self._events),
+            fit=fit,
         )
 
     def _predict(self, frame: Frame) -> Array:

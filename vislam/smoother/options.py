@@ -58,6 +58,11 @@ class SmootherOptions:
     max_rescues: Annotated[int, Field(ge=0)] = 50
     """A run with more rescues than this has failed."""
 
+    @property
+    def plain(self) -> bool:
+        """Whether the sum of squares that is minimised is that of the noise: no kernel, nothing taken out."""
+        return self.robust == "none" and self.final != "gnc" and self.factors == "stereo"
+
     def __post_init__(self) -> None:
         """Refuse what has no meaning together."""
         if self.lag_s is not None and self.final in ("batch", "gnc"):
