@@ -136,6 +136,15 @@ def test_the_ends_of_the_interval_are_as_probable_as_it_says(probability):
         assert found == pytest.approx(1.0 - probability)
 
 
+def test_errors_that_were_fitted_accuse_only_if_they_are_large():
+    low = Statistic("nees", 0.01, 6.0, 500, 20.0, "", fitted=True)
+    assert low.p_value() > 0.999
+    assert Statistic("nees", 0.01, 6.0, 500, 20.0, "").p_value() < 1e-6
+    floor, high = low.interval(0.99)
+    assert floor == 0.0
+    assert Statistic("nees", high, 6.0, 500, 20.0, "", fitted=True).p_value() == pytest.approx(0.01)
+
+
 def squares(rng, length):
     """NIS of frames with differing degrees of freedom; innovations correlated over a length, if above 0."""
     freedom = rng.integers(20, 200, SAMPLES).astype(float)

@@ -77,7 +77,7 @@ class Agreement:
 
     @property
     def per_freedom(self) -> float:
-        """Mean squared distance per degree of freedom; at most 1 expected, at most 2 in any case."""
+        """Mean squared distance per degree of freedom; at most 1 if both are consistent and err alike, 2 if not alike."""
         return float(self.squared.mean()) / 6.0
 
     def share_beyond(self, probability: float = 0.95) -> float:
