@@ -100,6 +100,17 @@ def test_worlds_are_joined_and_a_rigid_motion_of_either_changes_nothing(rng):
         assert np.allclose(plain[part].nees, other[part].nees, rtol=1e-6)
 
 
+def test_an_error_that_stays_in_the_world_counts_once_though_the_body_turns():
+    # Twenty times round.
+    truth = np.concatenate([circle(frames=FRAMES // 20)] * 20)
+    estimate = truth.copy()
+    estimate[1:, :3, 3] += [1.0, -0.5, 0.2]
+    cov = np.tile(np.diag([1e-6] * 3 + [0.5] * 3), (FRAMES, 1, 1))
+    found = pose_errors(made_run("one", estimate, pose_cov=cov), of_truth(truth))["position"]
+    assert np.ptp(found.error[:, 0]) > 1.0
+    assert found.statistic().effective == 1.0
+
+
 def test_another_point_of_the_body_has_another_position_error_and_the_same_pose_nees(rng):
     truth, run = drive(rng)
     lever = se3.exp(np.array([0.3, -0.2, 1.0, 2.0, -1.0, 0.5]))

@@ -64,6 +64,7 @@ SOUND = {
     "length 10, pose": decaying(10.0, 6),
     "length 50": decaying(50.0, 3),
     "length 50, pose": decaying(50.0, 6),
+    "walk, one component": walking(1),
     "walk, planar": walking(2),
     "walk": walking(3),
     "walk, pose": walking(6),
