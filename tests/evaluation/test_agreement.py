@@ -111,6 +111,17 @@ def test_a_covariance_is_taken_along_to_the_other_pose(rng):
     assert np.abs((cov[0] - found) / scale).max() > 0.1
 
 
+def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
+    one, other = pair(rng)
+    found = agreement(one, other)
+    total = one.pose_cov[1:] + transported(other.pose_cov[1:], found.difference)
+    expected = np.einsum(
+        "ti,ti->t", found.difference, np.linalg.solve(total, found.difference[..., None])[..., 0]
+    )
+    assert np.allclose(found.squared, expected, rtol=1e-9)
+    assert np.allclose(se3.retract(one.world_T_imu[1:], found.difference), other.world_T_imu[1:])
+
+
 def test_runs_part_where_one_goes_astray_for_good(rng):
     one, other = pair(rng)
     astray = other.world_T_imu.copy()

@@ -9,7 +9,8 @@ from scipy.stats import binom
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.evaluation.test_statistics import decaying
 from vislam.data.reference import Reference
-from vislam.evaluation.consistency import PARTS
+from vislam.evaluation.alignment import align
+from vislam.evaluation.consistency import PARTS, nees
 from vislam.evaluation.normalised import (
     PROBABILITIES,
     bias_errors,
@@ -23,6 +24,7 @@ from vislam.geometry import se3
 FRAMES = 500
 LENGTH = 3.0
 SUSPECT = 1e-3
+MOVE = se3.exp(np.array([0.0, 0.0, 0.8, 10.0, -20.0, 3.0]))
 SWAP = [3, 4, 5, 0, 1, 2]
 
 
@@ -98,6 +100,17 @@ def test_worlds_are_joined_and_a_rigid_motion_of_either_changes_nothing(rng):
         assert np.allclose(plain[part].nees, other[part].nees, rtol=1e-6)
 
 
+def test_an_error_that_stays_in_the_world_counts_once_though_the_body_turns():
+    # Twenty times round.
+    truth = np.concatenate([circle(frames=FRAMES // 20)] * 20)
+    estimate = truth.copy()
+    estimate[1:, :3, 3] += [1.0, -0.5, 0.2]
+    cov = np.tile(np.diag([1e-6] * 3 + [0.5] * 3), (FRAMES, 1, 1))
+    found = pose_errors(made_run("one", estimate, pose_cov=cov), of_truth(truth))["position"]
+    assert np.ptp(found.error[:, 0]) > 1.0
+    assert found.statistic().effective == 1.0
+
+
 def test_another_point_of_the_body_has_another_position_error_and_the_same_pose_nees(rng):
     truth, run = drive(rng)
     lever = se3.exp(np.array([0.3, -0.2, 1.0, 2.0, -1.0, 0.5]))
@@ -130,10 +143,7 @@ def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
     truth, run = drive(rng)
     assert pose_errors(run, of_truth(truth), causal=True) is None
     assert pose_errors(run, replace(of_truth(truth), pose=None)) is None
-    assert (
-        position_errors(run, of_truth(truth), rotation=np.eye(3), translation=np.zeros(3), causal=True)
-        is None
-    )
+    assert position_errors(run, of_truth(truth), planar=True, reference_sigma=1.0, causal=True) is None
     assert bias_errors(run, np.zeros(6)) is None
     assert nis_statistic(run) is None
     assert nis_whiteness(run) is None
@@ -149,20 +159,54 @@ def test_poses_at_their_own_time_have_their_own_covariances(rng):
     assert own["pose"].name == "nees_pose_causal"
 
 
-@pytest.mark.parametrize("size", [2, 3])
-def test_positions_alone_are_compared_in_the_world_of_the_reference(rng, size):
-    truth, run = drive(rng)
+def surveyed(truth, size):
+    """Positions of a point of the body, in a world of somebody else's."""
     lever = se3.exp(np.array([0.0, 0.0, 0.4, 1.0, 0.5, 0.2]))
-    move = se3.exp(np.array([0.0, 0.0, 0.8, 10.0, -20.0, 3.0]))
-    position = (move @ truth @ lever)[:, :size, 3]
-    reference = Reference("survey", "", np.arange(FRAMES), position, None, lever)
-    alignment = {"rotation": move[:size, :size], "translation": move[:size, 3]}
-    sound = position_errors(run, reference, **alignment)
-    assert sound.error.shape == (FRAMES, size)
-    assert sound.statistic().p_value() > SUSPECT
+    position = (MOVE @ truth @ lever)[:, :size, 3]
+    return Reference("survey", "", np.arange(len(truth)), position, None, lever)
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_positions_alone_are_compared_wherever_their_world_lies(rng, planar):
+    truth, run = drive(rng)
+    reference = surveyed(truth, 2 if planar else 3)
+    sound = position_errors(run, reference, planar=planar, reference_sigma=0.0)
+    assert sound.error.shape == (FRAMES, 2 if planar else 3)
+    assert sound.statistic().value == pytest.approx(1.0, abs=0.15)
     assert "only values above 1 accuse" in sound.convention
     wrong = replace(run, pose_cov=in_world(run.pose_cov, run.world_T_imu))
-    assert position_errors(wrong, reference, **alignment).statistic().p_value() < SUSPECT
+    assert (
+        position_errors(wrong, reference, planar=planar, reference_sigma=0.0).statistic().p_value() < SUSPECT
+    )
+    # The survey's own error, ten times that of the run.
+    rough = replace(
+        reference, position=reference.position + rng.normal(scale=5.0, size=reference.position.shape)
+    )
+    assert position_errors(run, rough, planar=planar, reference_sigma=0.0).statistic().value > 10.0
+    blamed = position_errors(run, rough, planar=planar, reference_sigma=5.0)
+    assert blamed.statistic().value == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_an_alignment_does_not_accuse_a_run_that_was_sure_of_its_start(rng, planar):
+    truth, estimates, cov = reckoned(rng, runs=20)
+    size = 2 if planar else 3
+    reference = replace(surveyed(truth, size), imu_T_point=np.eye(4), position=(MOVE @ truth)[:, :size, 3])
+    least_distance = []
+    for pose in estimates.transpose(1, 0, 2, 3):
+        found = position_errors(
+            made_run("one", pose, pose_cov=cov), reference, planar=planar, reference_sigma=1e-3
+        )
+        assert found.statistic().p_value() > SUSPECT
+        # No worse than with the true motion between the worlds.
+        place = pose[:, :size, 3]
+        claim = (pose[:, :3, :3] @ cov[:, 3:, 3:] @ pose[:, :3, :3].transpose(0, 2, 1))[:, :size, :size]
+        claim = claim + 1e-6 * np.eye(size)
+        assert found.nees.mean() <= nees(truth[:, :size, 3] - place, claim).mean() * (1.0 + 1e-6)
+        rotation, translation = align(reference.position, place)
+        least_distance.append(nees(reference.position @ rotation.T + translation - place, claim).mean())
+    # What the alignment of the least distance does: late errors come where the run is sure.
+    assert np.median(least_distance) > 4.0 * size
 
 
 def test_the_bias_is_compared_with_the_true_one(rng):

@@ -64,6 +64,7 @@ SOUND = {
     "length 10, pose": decaying(10.0, 6),
     "length 50": decaying(50.0, 3),
     "length 50, pose": decaying(50.0, 6),
+    "walk, one component": walking(1),
     "walk, planar": walking(2),
     "walk": walking(3),
     "walk, pose": walking(6),
@@ -134,6 +135,15 @@ def test_the_ends_of_the_interval_are_as_probable_as_it_says(probability):
     for value in (low, high):
         found = Statistic("nees", value, 6.0, 500, 20.0, "").p_value()
         assert found == pytest.approx(1.0 - probability)
+
+
+def test_errors_that_were_fitted_accuse_only_if_they_are_large():
+    low = Statistic("nees", 0.01, 6.0, 500, 20.0, "", fitted=True)
+    assert low.p_value() > 0.999
+    assert Statistic("nees", 0.01, 6.0, 500, 20.0, "").p_value() < 1e-6
+    floor, high = low.interval(0.99)
+    assert floor == 0.0
+    assert Statistic("nees", high, 6.0, 500, 20.0, "", fitted=True).p_value() == pytest.approx(0.01)
 
 
 def squares(rng, length):

@@ -77,7 +77,10 @@ class Agreement:
 
     @property
     def per_freedom(self) -> float:
-        """Mean squared distance per degree of freedom; at most 1 expected, at most 2 in any case."""
+        """Mean squared distance per degree of freedom.
+
+        Two consistent runs are expected to have 1 at most if they err alike, and 2 at most in any case.
+        """
         return float(self.squared.mean()) / 6.0
 
     def share_beyond(self, probability: float = 0.95) -> float:

@@ -15,6 +15,7 @@ from vislam.data.reference import Reference
 from vislam.evaluation import statistics
 from vislam.evaluation.consistency import PARTS, coverage
 from vislam.evaluation.statistics import Statistic, Whiteness
+from vislam.evaluation.weighted_alignment import align_weighted
 from vislam.geometry import se3
 from vislam.run import Run
 from vislam.types import Array, BoolArray, IntArray
@@ -44,6 +45,8 @@ class Normalised:
     whitened : (n, d)
         ``L^-1 error`` where ``L L^T`` is the claimed covariance, both in axes that stay.
     convention : str
+    fitted : bool
+        Whether part of the error was fitted away.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Normalised:
     sigma: Array
     whitened: Array
     convention: str
+    fitted: bool = False
 
     @property
     def nees(self) -> Array:
@@ -60,7 +64,7 @@ class Normalised:
 
     def statistic(self) -> Statistic:
         """Average over all."""
-        return statistics.of_errors(self.name, self.whitened, convention=self.convention)
+        return statistics.of_errors(self.name, self.whitened, convention=self.convention, fitted=self.fitted)
 
     def coverage_curve(self, probabilities: Array = PROBABILITIES) -> Array:
         """Share of the NEES within the chi-square quantile of each probability ``(p,)``; equal if sound."""
@@ -100,8 +104,7 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
     error, cov, turn = error[known], cov[known], estimate[known, :3, :3]
     convention = (
         f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
-        f"worlds joined at frame {frame[0]}; covariance as claimed, right perturbation, "
-        + ("at the frame's own time" if causal else "in the end")
+        f"worlds joined at frame {frame[0]}; covariance as claimed {_time(causal)}, right perturbation"
     )
     level = np.zeros((len(turn), 6, 6))
     level[:, :3, :3] = level[:, 3:, 3:] = turn
@@ -120,44 +123,50 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
 
 
 def position_errors(
-    run: Run, reference: Reference, *, rotation: Array, translation: Array, causal: bool = False
+    run: Run, reference: Reference, *, planar: bool, reference_sigma: float, causal: bool = False
 ) -> Normalised | None:
-    """Errors of the position after a least-squares alignment; None where the run gives no covariance.
+    """Errors of the position where the reference has no attitude; None where the run gives no covariance.
 
-    The alignment takes part of the error out: values below 1 say nothing, values above 1 accuse.
+    Nobody knows how the worlds lie to each other. The reference is moved to where the NEES is least, so that
+    it is not above that of the true motion: values below 1 say nothing, values above 1 accuse. The alignment
+    of the least distance would not do: it spreads late errors over the first frames, of which a run is sure.
 
     Parameters
     ----------
     run : Run
-        Levelled, if the reference is planar.
+        Levelled, if it is compared in the plane.
     reference : Reference
         Of positions, of any point.
-    rotation, translation : (d, d), (d,)
-        ``reference ~ rotation @ position + translation`` [m]; d = 2 compares in the plane.
+    planar : bool
+        Whether to leave the height out.
+    reference_sigma : float
+        Standard deviation of the reference's own positions [m]; 0 for a truth. The first poses of a run are
+        more certain than any survey.
     causal : bool
         Whether to take the poses as they were known at their own time.
     """
-    size = len(translation)
+    size = 2 if planar else 3
     inside = reference.frame < len(run.stamp)
     frame = reference.frame[inside]
     estimate, cov = _at_point(run, frame, reference.imu_T_point, causal=causal)
     turn = estimate[:, :3, :3]
     cov_world = (turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1))[:, :size, :size]
-    cov_world = rotation @ cov_world @ rotation.T
-    error = reference.position[inside, :size] - (estimate[:, :size, 3] @ rotation.T + translation)
+    cov_world = cov_world + reference_sigma**2 * np.eye(size)
     known = usable(cov_world)
-    if not known.any():
+    if known.sum() < 3:
         return None
-    kind = "planar" if size == 2 else "rigid"
+    cov_world, place = cov_world[known], estimate[known, :size, 3]
+    error = align_weighted(reference.position[inside][known, :size], place, cov_world) - place
     return Normalised(
-        f"nees_position_{kind}" + ("_causal" if causal else ""),
+        "nees_position_" + ("planar" if planar else "aligned") + ("_causal" if causal else ""),
         frame[known],
-        error[known],
-        _sigma(cov_world[known]),
-        whiten(error[known], cov_world[known]),
-        f"error = {reference.name} - position, axes of the reference, after a {kind} least-squares "
-        "alignment that takes part of the error out, so that only values above 1 accuse; covariance as "
-        "claimed of the position in the world, " + ("at the frame's own time" if causal else "in the end"),
+        error,
+        _sigma(cov_world),
+        whiten(error, cov_world),
+        f"error = {reference.name} - position, axes of the run's world; worlds joined by the rigid motion of "
+        "least NEES, which takes part of the error out, so that only values above 1 accuse; covariance as "
+        f"claimed {_time(causal)}, and {reference_sigma:g} m of the reference's own",
+        fitted=True,
     )
 
 
@@ -227,6 +236,10 @@ def _at_point(run: Run, frame: IntArray, imu_T_point: Array, *, causal: bool) ->
     poses, cov = (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
     move = se3.adjoint(se3.inverse(imu_T_point))
     return poses[frame] @ imu_T_point, move @ cov[frame] @ move.T
+
+
+def _time(causal: bool) -> str:
+    return "at the frame's own time" if causal else "in the end"
 
 
 def _sigma(cov: Array) -> Array:

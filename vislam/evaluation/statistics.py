@@ -36,6 +36,9 @@ class Statistic:
         Number of independent samples that would tell as much, from 1 to ``samples``.
     convention : str
         Error, axes, gauge and covariance in words.
+    fitted : bool
+        Whether part of the error was fitted away, so that the value is too low if anything. Then no value is
+        so low that it accuses, and the interval and the probability are one-sided.
     """
 
     name: str
@@ -44,18 +47,21 @@ class Statistic:
     samples: int
     effective: float
     convention: str
+    fitted: bool = False
 
     def interval(self, probability: float = 0.95) -> tuple[float, float]:
-        """Two-sided interval of a consistent estimator's value."""
-        tail = 0.5 * (1.0 - probability)
+        """Interval of a consistent estimator's value."""
         low, high = self._freedoms
+        if self.fitted:
+            return 0.0, float(chi2.ppf(probability, high)) / high
+        tail = 0.5 * (1.0 - probability)
         return float(chi2.ppf(tail, low)) / low, float(chi2.isf(tail, high)) / high
 
     def p_value(self) -> float:
-        """Two-sided probability that a consistent estimator's value is as far out as this one."""
+        """Probability that a consistent estimator's value is as far out as this one."""
         low, high = self._freedoms
-        tails = chi2.cdf(self.value * low, low), chi2.sf(self.value * high, high)
-        return float(min(1.0, 2.0 * min(tails)))
+        above = float(chi2.sf(self.value * high, high))
+        return above if self.fitted else min(1.0, 2.0 * min(above, float(chi2.cdf(self.value * low, low))))
 
     @property
     def _freedoms(self) -> tuple[float, float]:
@@ -86,7 +92,7 @@ class Whiteness:
     effective: float
 
 
-def of_errors(name: str, whitened: Array, *, convention: str) -> Statistic:
+def of_errors(name: str, whitened: Array, *, convention: str, fitted: bool = False) -> Statistic:
     """Average of normalised squared errors, whose effective number comes from the errors themselves.
 
     Parameters
@@ -96,11 +102,12 @@ def of_errors(name: str, whitened: Array, *, convention: str) -> Statistic:
         Errors in time order, each brought to unit covariance; in axes that do not turn with the body, for
         a turn would hide that they stay.
     convention : str
+    fitted : bool
+        Whether part of them was fitted away.
     """
-    value = float(np.mean(whitened**2))
-    return Statistic(
-        name, value, float(whitened.shape[1]), len(whitened), effective_errors(whitened), convention
-    )
+    count, size = whitened.shape
+    value, effective = float(np.mean(whitened**2)), effective_errors(whitened)
+    return Statistic(name, value, float(size), count, effective, convention, fitted)
 
 
 def of_squares(name: str, squares: Array, freedom: Array, *, convention: str) -> Statistic:
