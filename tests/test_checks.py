@@ -231,7 +231,8 @@ def test_a_test_says_value_interval_samples_rate_and_convention():
     # Chi-square of 300 degrees of freedom over 300; its normal approximation has 1 +- 2.58 sqrt(2 / 300).
     assert verdict.measured.startswith("1.02, expected 0.8022 to 1.223 (p 0.79, ")
     assert "50 effective of 300 samples, 6 degrees of freedom each" in verdict.measured
-    assert verdict.measured.endswith("false-alarm rate 0.01; 1 is expected)")
+    assert verdict.measured.endswith("false-alarm rate 0.01)")
+    assert verdict.convention == "1 is expected"
 
 
 def test_the_rate_is_shared_out_evenly_among_the_tests():
@@ -278,6 +279,7 @@ def test_sound_results_fail_a_test_as_seldom_as_the_rate_says(rng):
     assert alarms(1.44) > 0.99 * trials
 
 
+CHECK = {"name": "a", "convention": ""}
 DOCUMENT = {
     "name": "ci",
     "dataset": {"name": "simulation", "digest": "abc", "stand_in": True, "reference": None},
@@ -285,8 +287,8 @@ DOCUMENT = {
     "runs": {"ekf": {"complete": True, "error": ""}, "isam2": {"complete": False, "error": "f \x1b[1m<9>"}},
     "metrics": [{"estimator": "ekf", "key": "total_time_s", "value": 1.25}],
     "checks": [
-        {"check": "a < b", "holds": True, "measured": "1", "estimator": "ekf", "name": "a"},
-        {"check": "c", "holds": False, "measured": "isam2 & so on", "estimator": "isam2", "name": "c"},
+        {**CHECK, "check": "a < b", "holds": True, "measured": "1", "estimator": "ekf"},
+        {**CHECK, "check": "c", "holds": False, "measured": "isam2 & so on", "estimator": "isam2"},
     ],
 }
 

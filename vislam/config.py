@@ -42,6 +42,8 @@ class ReferenceConfig:
     """What its positions and poses are those of."""
     up: Literal["z", "-y"] = "z"
     """Axis of its world that points up; "-y" where the world has a camera's axes, as in KITTI odometry."""
+    sigma_m: NonNegative = 0.0
+    """Standard deviation of its own positions [m]; the first poses of a run are surer than any survey."""
     max_time_difference: Positive = 0.02
     """Farthest that a stamp may be from the camera stamp it is taken for (``tum``, ``euroc``) [s]."""
 

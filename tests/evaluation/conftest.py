@@ -41,7 +41,11 @@ def recorded_drive():
     for name in ("0027_poses.txt", "0027.npz"):
         recorded(name)
     data = config.load(ROOT / "configs" / "kitti07.yaml").data
-    dataset = open_dataset(replace(data, repair=replace(data.repair, consensus=None)), seed=0)
+    dataset = open_dataset(
+        replace(data, repair=replace(data.repair, consensus=None)),
+        seed=0,
+        data_dir=recorded("0027.npz").parent,
+    )
     sequence = dataset.sequence
     return Drive(sequence.stamp, dead_reckoned(sequence.stamp, sequence.step_means()[0]), dataset.reference)
 

@@ -1,7 +1,7 @@
 """Whether results are as demanded."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from vislam.checks.saved import Saved
@@ -27,6 +27,8 @@ class Verdict:
     estimator : str
     name : str
         Key of the metric, or name of the statistic.
+    convention : str
+        What the number is, for a statistic: its error, axes, gauge and covariance.
     """
 
     check: str
@@ -34,6 +36,7 @@ class Verdict:
     measured: str
     estimator: str
     name: str
+    convention: str = ""
 
     def line(self) -> str:
         """One line of text."""
@@ -167,9 +170,9 @@ class _Judge:
         measured = (
             f"{found.value:.4g}, expected {low:.4g} to {high:.4g} (p {found.p_value():.2g}, "
             f"{found.effective:.4g} effective of {found.samples} samples, "
-            f"{found.freedom:.3g} degrees of freedom each, false-alarm rate {together}; {found.convention})"
+            f"{found.freedom:.3g} degrees of freedom each, false-alarm rate {together})"
         )
-        return _verdict(check, low <= found.value <= high, measured)
+        return replace(_verdict(check, low <= found.value <= high, measured), convention=found.convention)
 
     def _unit(self, check: Check) -> str:
         units = (

@@ -42,9 +42,9 @@ def _suite(document: Mapping[str, Any]) -> Xml.Element:
     for check in document["checks"]:
         case = _case(suite, check["check"], f"{name}.{check['estimator']}", 0.0)
         if check["holds"]:
-            Xml.SubElement(case, "system-out").text = _plain(check["measured"])
+            Xml.SubElement(case, "system-out").text = _plain(_told(check))
         else:
-            _mark(case, "failure", "check", check["measured"])
+            _mark(case, "failure", "check", _told(check))
     suite.attrib.update(
         name=_plain(name),
         tests=str(len(suite.findall("testcase"))),
@@ -54,6 +54,10 @@ def _suite(document: Mapping[str, Any]) -> Xml.Element:
         time=f"{sum(seconds.values()):.3f}",
     )
     return suite
+
+
+def _told(check: Mapping[str, Any]) -> str:
+    return "; ".join(part for part in (check["measured"], check["convention"]) if part)
 
 
 def _properties(document: Mapping[str, Any]) -> Xml.Element:

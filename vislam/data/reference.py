@@ -25,6 +25,8 @@ class Reference:
         Where the reference point sits in the body.
     track, points_world : (j,), (j, 3)
         True landmarks of a simulation [m]; empty elsewhere.
+    sigma : float
+        Standard deviation of its own positions, as far as is known [m].
     bias : (6,) or None
         True bias of a simulation's inertial samples (omega, v) [rad/s, m/s].
     """
@@ -37,6 +39,7 @@ class Reference:
     imu_T_point: Array
     track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
+    sigma: float = 0.0
     bias: Array | None = None
 
     @property

@@ -90,6 +90,7 @@ def load_reference(path: Path, config: ReferenceConfig, *, imu_T_cam: Array, sta
         position=rows.position[row] if pose is None else pose[:, :3, 3],
         pose=pose,
         imu_T_point=imu_T_cam if config.pose_of == "left_camera" else np.eye(4),
+        sigma=config.sigma_m,
     )
 
 

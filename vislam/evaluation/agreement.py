@@ -117,14 +117,14 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
     Parameters
     ----------
     one, other : Run
-        On the same frames.
+        Compared on the frames that both have.
     causal : two bool
         Whether to take the poses of each as they were known at their own time.
     """
-    frames = min(len(one.stamp), len(other.stamp))
-    first, first_cov = _poses(one, frames, causal=causal[0])
-    second, second_cov = _poses(other, frames, causal=causal[1])
-    if frames < 2:
+    frame, own, others = np.intersect1d(one.frame, other.frame, return_indices=True)
+    first, first_cov = _poses(one, own, causal=causal[0])
+    second, second_cov = _poses(other, others, causal=causal[1])
+    if len(frame) < 2:
         return None
     known = usable(first_cov) & usable(second_cov)
     known[0] = False
@@ -136,7 +136,7 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
     total = first_cov[known] + here
     ratios, along = compared(first_cov[known], here)
     return Agreement(
-        np.flatnonzero(known),
+        frame[known],
         difference,
         np.sum(whiten(difference, total) ** 2, axis=1),
         ratios,
@@ -183,7 +183,7 @@ def compared(first: Array, second: Array) -> tuple[Array, IntArray]:
     return np.asarray(ratios), along
 
 
-def _poses(run: Run, frames: int, *, causal: bool) -> tuple[Array, Array]:
+def _poses(run: Run, row: IntArray, *, causal: bool) -> tuple[Array, Array]:
     if causal:
-        return run.world_T_imu_causal[:frames], run.pose_cov_causal[:frames]
-    return run.world_T_imu[:frames], run.pose_cov[:frames]
+        return run.world_T_imu_causal[row], run.pose_cov_causal[row]
+    return run.world_T_imu[row], run.pose_cov[row]

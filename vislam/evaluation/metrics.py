@@ -54,13 +54,9 @@ def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
             yield Metric(name, key, value, unit, reference, convention)
     for key, value, unit, convention in (*_map(scores), *_claims(scores)):
         yield Metric(name, key, value, unit, reference, convention)
-    for key, value, unit in (
-        *_of_itself(scores.run),
-        *_innovations(scores),
-        *_fit(scores),
-        *_held_out(scores),
-    ):
-        yield Metric(name, key, value, unit)
+    for part in (_of_itself(scores.run), _innovations(scores), _fit(scores), _held_out(scores)):
+        for key, value, unit in part:
+            yield Metric(name, key, value, unit)
 
 
 def _headline(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:

@@ -89,12 +89,11 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
     causal : bool
         Whether to take the poses as they were known at their own time.
     """
-    inside = reference.frame < len(run.stamp)
-    frame = reference.frame[inside]
+    frame, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
     if reference.pose is None or len(frame) < 2:
         return None
-    estimate, cov = _at_point(run, frame, reference.imu_T_point, causal=causal)
-    target = reference.pose[inside]
+    estimate, cov = _at_point(run, own, reference.imu_T_point, causal=causal)
+    target = reference.pose[other]
     error = se3.local(estimate, estimate[0] @ se3.inverse(target[0]) @ target)
     known = usable(cov)
     # The first error is zero by construction.
@@ -146,9 +145,8 @@ def position_errors(
         Whether to take the poses as they were known at their own time.
     """
     size = 2 if planar else 3
-    inside = reference.frame < len(run.stamp)
-    frame = reference.frame[inside]
-    estimate, cov = _at_point(run, frame, reference.imu_T_point, causal=causal)
+    frame, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
+    estimate, cov = _at_point(run, own, reference.imu_T_point, causal=causal)
     turn = estimate[:, :3, :3]
     cov_world = (turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1))[:, :size, :size]
     cov_world = cov_world + reference_sigma**2 * np.eye(size)
@@ -156,7 +154,7 @@ def position_errors(
     if known.sum() < 3:
         return None
     cov_world, place = cov_world[known], estimate[known, :size, 3]
-    error = align_weighted(reference.position[inside][known, :size], place, cov_world) - place
+    error = align_weighted(reference.position[other][known, :size], place, cov_world) - place
     return Normalised(
         "nees_position_" + ("planar" if planar else "aligned") + ("_causal" if causal else ""),
         frame[known],
@@ -231,11 +229,11 @@ def whiten(error: Array, cov: Array) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(cov), error[:, :, None])[:, :, 0])
 
 
-def _at_point(run: Run, frame: IntArray, imu_T_point: Array, *, causal: bool) -> tuple[Array, Array]:
+def _at_point(run: Run, row: IntArray, imu_T_point: Array, *, causal: bool) -> tuple[Array, Array]:
     """Poses of a point of the body, and their covariances on the right."""
     poses, cov = (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
     move = se3.adjoint(se3.inverse(imu_T_point))
-    return poses[frame] @ imu_T_point, move @ cov[frame] @ move.T
+    return poses[row] @ imu_T_point, move @ cov[row] @ move.T
 
 
 def _time(causal: bool) -> str:

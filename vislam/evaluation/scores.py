@@ -83,7 +83,7 @@ class PairScores:
 
 
 def fit_statistic(run: Run) -> Statistic | None:
-    """Squared residuals of a final estimate per degree of freedom; None where that is no chi-square number."""
+    """Squared residuals of a final estimate; None where their sum is no chi-square number."""
     if run.fit is None or run.fit[1] <= 0:
         return None
     squares, freedom = run.fit
@@ -135,11 +135,9 @@ def _claims(
         if reference.pose is not None:
             found += (normalised.pose_errors(run, reference, causal=causal) or {}).values()
         else:
-            laid = find_alignment("planar", final.matched)
-            rotation, translation = laid.rotation[:2, :2], laid.translation[:2]
             found.append(
                 normalised.position_errors(
-                    run, reference, rotation=rotation, translation=translation, causal=causal
+                    run, reference, planar=reference.planar, reference_sigma=reference.sigma, causal=causal
                 )
             )
     if reference.bias is not None:
