@@ -1,4 +1,4 @@
-"""What a comparison comes to, in sentences: who is right, who predicts, who claims too much, what it costs."""
+"""What a comparison comes to, in sentences: who is right, who predicts, who claims too much, and the cost."""
 
 from collections.abc import Mapping
 
@@ -51,10 +51,8 @@ def _prediction(runs: Mapping[str, Run], evaluation: Evaluation) -> str:
         return ""
     listed = ", ".join(f"{name} {value:.2f} px" for value, name in ranked)
     first, second = ranked[0][1], ranked[1][1]
-    pair, turned = (
-        ((first, second), False) if (first, second) in evaluation.pairs else ((second, first), True)
-    )
-    found = evaluation.pairs[pair].held_out
+    turned = (first, second) not in evaluation.pairs
+    found = evaluation.pairs[(second, first) if turned else (first, second)].held_out
     if found is None:
         return ""
     better = 1.0 - found.better if turned else found.better
@@ -100,8 +98,8 @@ def _partings(runs: Mapping[str, Run], evaluation: Evaluation) -> list[str]:
         share = min(certainty.overall, 1.0 / certainty.overall)
         along = certainty.smallest_along if surer == one else certainty.largest_along
         told.append(
-            f"{one} and {other} contradict each other from frame {frame} on: they are farther apart than both "
-            f"claim to be uncertain. {surer} claims {share:.2g} times the variance of {less}, above all in "
+            f"{one} and {other} contradict each other from frame {frame} on: they are farther apart than "
+            f"they claim to be uncertain. {surer} claims {share:.2g} times the variance of {less}, above all in "
             f"{along}."
         )
     return told
