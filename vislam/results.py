@@ -163,6 +163,8 @@ def metrics_document(
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
         "statistics": evaluation.statistic_records(),
+        "worst_segments": evaluation.worst_segments(),
+        "map_agreement": evaluation.map_agreement(),
         "attribution": [asdict(rung) for rung in rungs],
         "checks": [verdict.record() for verdict in verdicts],
     }

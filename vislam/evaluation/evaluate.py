@@ -8,6 +8,7 @@ import numpy as np
 
 from vislam.data.reference import Reference
 from vislam.evaluation import metrics
+from vislam.evaluation.maps import Bin
 from vislam.evaluation.metrics import Metric
 from vislam.evaluation.scores import PairScores, RunScores, score_pair, score_run
 from vislam.evaluation.statistics import Statistic
@@ -58,6 +59,30 @@ class Evaluation:
             interval = {"low_95": low, "high_95": high, "p_value": statistic.p_value()}
             found.append({"estimator": estimator, **asdict(statistic), "name": name, **interval})
         return found
+
+    def worst_segments(self) -> dict[str, list[dict[str, object]]]:
+        """Where each run errs most, as plain data for JSON."""
+        return {
+            name: [asdict(segment) for segment in one.final.worst]
+            for name, one in self.scores.items()
+            if one.final is not None
+        }
+
+    def map_agreement(self) -> dict[str, dict[str, list[dict[str, object]]]]:
+        """Landmark by landmark between two runs, by depth and by views, as plain data for JSON."""
+        return {
+            "|".join(pair): {
+                "by_depth": [_plain(row) for row in one.by_depth()],
+                "by_views": [_plain(row) for row in one.by_views()],
+            }
+            for pair, one in self.pairs.items()
+            if one.map is not None
+        }
+
+
+def _plain(row: Bin) -> dict[str, object]:
+    """Plain data in which what is no number is null."""
+    return {key: value if np.isfinite(value) else None for key, value in asdict(row).items()}
 
 
 def headline(reference: Reference) -> str:

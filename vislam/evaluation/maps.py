@@ -131,7 +131,7 @@ def map_difference(one: Run, other: Run) -> MapDifference | None:
     return MapDifference(track, np.linalg.norm(apart, axis=1), squared)
 
 
-def binned(distance: Array, squared: Array, *, by: Array, edges: Array) -> list[Bin]:
+def binned(distance: Array, squared: Array, *, by: Array | IntArray, edges: Array) -> list[Bin]:
     """Table of landmarks by something, such as their depth or the number of their views.
 
     Parameters

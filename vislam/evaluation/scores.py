@@ -10,7 +10,7 @@ from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
-from vislam.evaluation.maps import MapDifference, MapErrors
+from vislam.evaluation.maps import Bin, MapDifference, MapErrors
 from vislam.evaluation.normalised import Normalised
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.trajectory_scores import TrajectoryScores, score_trajectory
@@ -18,6 +18,11 @@ from vislam.geometry import se3
 from vislam.record import Record, Tracks
 from vislam.run import Run
 from vislam.types import Array, IntArray
+
+DEPTHS = np.array([0.0, 10.0, 20.0, 40.0, 80.0, np.inf])
+"""Bounds of the depths by which maps are compared [m]."""
+VIEWS = np.array([1.0, 3.0, 6.0, 12.0, 24.0, np.inf])
+"""Bounds of the numbers of views."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,19 @@ class PairScores:
     depth: Array
     views: IntArray
     held_out: Paired | None
+
+    def by_depth(self) -> list[Bin]:
+        """How far the maps are apart, by the depth of the landmarks [m]."""
+        return self._binned(self.depth, DEPTHS)
+
+    def by_views(self) -> list[Bin]:
+        """The same by the number of views."""
+        return self._binned(self.views, VIEWS)
+
+    def _binned(self, by: Array | IntArray, edges: Array) -> list[Bin]:
+        if self.map is None:
+            return []
+        return maps.binned(self.map.distance, self.map.squared, by=by, edges=edges)
 
 
 def fit_statistic(run: Run) -> Statistic | None:

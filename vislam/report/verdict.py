@@ -99,8 +99,8 @@ def _partings(runs: Mapping[str, Run], evaluation: Evaluation) -> list[str]:
         along = certainty.smallest_along if surer == one else certainty.largest_along
         told.append(
             f"{one} and {other} contradict each other from frame {frame} on: they are farther apart than "
-            f"they claim to be uncertain. {surer} claims {share:.2g} times the variance of {less}, above all in "
-            f"{along}."
+            f"they claim to be uncertain. {surer} claims {share:.2g} times the variance of {less}, above all "
+            f"in {along}."
         )
     return told
 
