@@ -1,0 +1,108 @@
+"""The sentences at the top of a report: what is said, and of whom nothing is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.evaluation.test_evaluation import circle, made_run, of_truth
+from tests.records import made_record
+from vislam.evaluation import evaluate
+from vislam.geometry import se3
+from vislam.record import Tracks
+from vislam.report.verdict import verdict
+
+FRAMES = 120
+SIGMA = np.array([0.002, 0.002, 0.002, 0.05, 0.05, 0.05])
+
+
+def scattered(name, rng, *, sigma=SIGMA, claimed=SIGMA, **values):
+    """A run whose poses scatter about the truth by sigma, and which claims something of it."""
+    truth = circle(FRAMES)
+    error = sigma * rng.normal(size=(FRAMES, 6))
+    error[0] = 0.0
+    cov = np.broadcast_to(np.diag(claimed**2), (FRAMES, 6, 6))
+    pose = se3.retract(truth, error)
+    # What made the first pose certain makes it no claim.
+    return made_run(name, pose, pose_cov=cov, pose_cov_causal=cov, **values)
+
+
+def record(rng, **values):
+    """A drive with held-out tracks of points ahead."""
+    truth = circle(FRAMES)
+    plain = made_record(of_truth(truth), frames=FRAMES)
+    frame, track, z = [], [], []
+    for index, first in enumerate(range(0, FRAMES - 8, 2)):
+        views = np.arange(first, first + 8)
+        cam_T_world = se3.inverse(truth[views] @ plain.rig.imu_T_cam)
+        point = se3.transform(truth[first], np.array([[40.0, rng.uniform(-8, 8), 1.0]]))
+        seen = plain.rig.project(se3.transform(cam_T_world, point)[:, 0])
+        frame.append(views)
+        track.append(np.full(8, index))
+        z.append(seen + 0.2 * rng.normal(size=seen.shape))
+    held = Tracks(np.concatenate(frame), np.concatenate(track), np.concatenate(z), np.ones((8 * len(z), 3)))
+    order = np.argsort(held.frame, kind="stable")
+    held = Tracks(*(getattr(held, key)[order] for key in ("frame", "track", "z", "sigma")))
+    return replace(plain, held_out=held, **values)
+
+
+def said(runs, drive):
+    named = {run.name: run for run in runs}
+    return verdict(named, evaluate(named, drive), drive.reference)
+
+
+def test_who_is_close_predicts_and_is_consistent_is_said(rng):
+    good = scattered("good", rng)
+    bad = scattered("bad", rng, sigma=8.0 * SIGMA)
+    accuracy, prediction, claims, *rest = said([bad, good], record(rng))
+    assert accuracy.startswith("Closest to truth is good (ATE after rigid alignment: good 0.0")
+    assert "median error: good 0." in prediction
+    assert "good is better than bad on" in prediction
+    assert "bad claims too much (NEES pose" in claims
+    assert "good is consistent (NEES pose" in claims
+    assert rest[-1] == "Time in all: bad 1.0 s, good 1.0 s."
+
+
+def test_equal_runs_cannot_be_told_apart(rng):
+    one = scattered("one", rng)
+    found = said([one, replace(one, name="two")], record(rng))
+    assert "one and two cannot be told apart (p 1)" in found[1]
+    assert not any("contradict" in sentence for sentence in found)
+
+
+def test_too_little_is_claimed_as_well(rng):
+    (claims,) = [
+        text for text in said([scattered("shy", rng, claimed=5.0 * SIGMA)], record(rng)) if "Of its" in text
+    ]
+    assert "shy claims too little" in claims
+
+
+def test_runs_that_part_are_named_with_the_surer_one(rng):
+    sure = scattered("sure", rng, sigma=0.1 * SIGMA, claimed=0.1 * SIGMA)
+    moved = sure.world_T_imu.copy()
+    moved[60:, 0, 3] += 3.0
+    vague = replace(scattered("vague", rng), world_T_imu=moved, world_T_imu_causal=moved)
+    (parting,) = [text for text in said([sure, vague], record(rng)) if "contradict" in text]
+    assert parting.startswith("sure and vague contradict each other from frame 60 on")
+    assert "sure claims 0.01 times the variance of vague" in parting
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_better_one_is_named_whatever_the_order(rng, turned):
+    runs = [scattered("good", rng), scattered("bad", rng, sigma=8.0 * SIGMA)]
+    found = said(runs[::-1] if turned else runs, record(rng))
+    share = float(found[1].split("good is better than bad on ")[1].split(" %")[0])
+    assert share > 70.0
+
+
+def test_without_a_reference_the_data_alone_speak(rng):
+    drive = replace(record(rng), reference=None)
+    accuracy, prediction, *_ = said([scattered("one", rng), scattered("bad", rng, sigma=8.0 * SIGMA)], drive)
+    assert accuracy == "There is no reference: what follows is from the data alone."
+    assert prediction.startswith("Tracks kept back from all")
+
+
+def test_nothing_is_said_of_what_did_not_finish(rng):
+    broken = scattered("broken", rng, error="frame 100: lost")
+    found = said([broken], record(rng))
+    assert found == ["No estimator finished, so nobody can be called closest."]
