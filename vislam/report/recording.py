@@ -4,7 +4,6 @@ Only this module imports rerun, and only who asks for a recording imports this m
 """
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,45 +13,21 @@ from scipy.spatial.transform import Rotation
 
 from vislam.data.reference import Reference
 from vislam.errors import ConfigError
-from vislam.evaluation.alignment import find_alignment
-from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory_scores import headline_alignment
 from vislam.files import replace_whole
-from vislam.geometry import se3
 from vislam.record import Record
 from vislam.report.figures import colours
+from vislam.report.placement import origin, place, principal_axes
 from vislam.results import Results
 from vislam.run import Run
 from vislam.types import Array, IntArray
 
 _SIGMAS = 3.0
-_FEWEST = 3
-"""Frames in common with the reference without which a run is not aligned."""
 _AXIS_LENGTH = 2.0
 """Length of the axes of a pose [m]."""
 _SCALARS = {"step_time_ms": "step time [ms]", "nis_per_dof": "NIS per dof", "position_sigma": "sigma [m]"}
 _ABOUT, _REFERENCE, _TRUE_LANDMARKS = "about", "reference", "true landmarks"
 """Entities of no run. What runs log lies below their names, so that no name of a run can take these."""
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """A run where it is drawn.
-
-    Attributes
-    ----------
-    pose, causal : (T, 4, 4)
-        Final and causal poses of the reference's point; of the body, without a reference.
-    position_cov : (T, 3, 3)
-        Covariances of the positions of ``pose`` in the world that is drawn [m^2]; NaN where not given.
-    points : (m, 3)
-        Landmarks [m].
-    """
-
-    pose: Array
-    causal: Array
-    position_cov: Array
-    points: Array
 
 
 def write_recording(path: Path, results: Results) -> None:
@@ -149,15 +124,10 @@ def _world(reference: Reference | None) -> list[str]:
     return lines
 
 
-def _origin(reference: Reference) -> Array:
-    """Where the drawn world begins ``(3,)``: Rerun draws in float32, which map coordinates would exhaust."""
-    return np.append(reference.position[0], [0.0] * (3 - reference.position.shape[1]))
-
-
 def _log_reference(recording: rr.RecordingStream, reference: Reference) -> None:
     """Log positions as points, joined by lines where no frame lies between, and true landmarks."""
     height = np.zeros((len(reference.position), 3 - reference.position.shape[1]))
-    position = np.hstack([reference.position, height]) - _origin(reference)
+    position = np.hstack([reference.position, height]) - origin(reference)
     strips = np.split(position, np.flatnonzero(np.diff(reference.frame) > 1) + 1)
     grey, size = 0xB0B0B0FF, rr.Radius.ui_points(2.0)
     recording.log(
@@ -167,7 +137,7 @@ def _log_reference(recording: rr.RecordingStream, reference: Reference) -> None:
         static=True,
     )
     if len(reference.points_world):
-        points = reference.points_world - _origin(reference)
+        points = reference.points_world - origin(reference)
         recording.log(
             _entity(_TRUE_LANDMARKS),
             rr.Points3D(points, colors=grey, radii=rr.Radius.ui_points(1.0)),
@@ -176,24 +146,26 @@ def _log_reference(recording: rr.RecordingStream, reference: Reference) -> None:
 
 
 def _log_run(recording: rr.RecordingStream, name: str, run: Run, record: Record, *, colour: int) -> None:
-    shown, times = _show(run, record.reference), _times(run.frame, record)
-    recording.log(_entity(name, "path"), _strip(shown.pose, colour, width=1.5), static=True)
+    placed, times = place(run, record.reference), _times(run.frame, record)
+    recording.log(_entity(name, "path"), _strip(placed.pose, colour, width=1.5), static=True)
     if not np.array_equal(run.world_T_imu, run.world_T_imu_causal):
-        recording.log(_entity(name, "causal_path"), _strip(shown.causal, colour, width=0.5), static=True)
+        recording.log(_entity(name, "causal_path"), _strip(placed.causal, colour, width=0.5), static=True)
     pose = _entity(name, "pose")
     recording.log(pose, rr.TransformAxes3D(_AXIS_LENGTH), static=True)
-    moves = rr.Transform3D.columns(translation=shown.pose[:, :3, 3], quaternion=_xyzw(shown.pose[:, :3, :3]))
+    moves = rr.Transform3D.columns(
+        translation=placed.pose[:, :3, 3], quaternion=_xyzw(placed.pose[:, :3, :3])
+    )
     recording.send_columns(pose, times, moves)
     if len(run.track):
-        _log_landmarks(recording, _entity(name, "landmarks"), run.track, shown.points, record, colour=colour)
+        _log_landmarks(recording, _entity(name, "landmarks"), run.track, placed.points, record, colour=colour)
     sigma = np.full((len(run.frame), 3), np.nan)
-    known = np.isfinite(shown.position_cov).all(axis=(1, 2))
+    known = np.isfinite(placed.position_cov).all(axis=(1, 2))
     if known.any():
-        sigma[known], axes = _principal(shown.position_cov[known])
+        sigma[known], axes = principal_axes(placed.position_cov[known])
         entity = _entity(name, "position_3_sigma")
         recording.log(entity, rr.Ellipsoids3D.from_fields(colors=colour), static=True)
         ellipsoids = rr.Ellipsoids3D.columns(
-            half_sizes=_SIGMAS * sigma[known], centers=shown.pose[known, :3, 3], quaternions=_xyzw(axes)
+            half_sizes=_SIGMAS * sigma[known], centers=placed.pose[known, :3, 3], quaternions=_xyzw(axes)
         )
         # An empty row takes the ellipsoid before it away.
         recording.send_columns(entity, times, ellipsoids.partition(known.astype(int)))
@@ -203,27 +175,6 @@ def _log_run(recording: rr.RecordingStream, name: str, run: Run, record: Record,
     scalars["nis_per_dof"] = np.where(run.dof > 0, run.nis / np.maximum(run.dof, 1), np.nan)
     for key, values in scalars.items():
         _log_scalar(recording, _entity(name, key), run.frame, values, record, name=name, colour=colour)
-
-
-def _show(run: Run, reference: Reference | None) -> _Shown:
-    """Lay a levelled run on the reference, at whose point its covariance is taken as well."""
-    body_T_point = np.eye(4) if reference is None else reference.imu_T_point
-    shown_T_world = np.eye(4)
-    if reference is not None:
-        matched = associate(run.frame, run.stamp, run.world_T_imu, reference)
-        if len(matched.frame) >= _FEWEST:
-            found = find_alignment(headline_alignment(reference.planar), matched)
-            shift = found.translation - _origin(reference)
-            shown_T_world = se3.from_rotation_translation(found.rotation, shift)
-    pose = shown_T_world @ run.world_T_imu @ body_T_point
-    # Position errors are v, in the axes of the point: with exp on the right, R v moves the origin.
-    turn = pose[:, :3, :3] @ se3.adjoint(se3.inverse(body_T_point))[3:]
-    return _Shown(
-        pose=pose,
-        causal=shown_T_world @ run.world_T_imu_causal @ body_T_point,
-        position_cov=turn @ run.pose_cov @ turn.transpose(0, 2, 1),
-        points=se3.transform(shown_T_world, run.points_world),
-    )
 
 
 def _log_landmarks(
@@ -266,13 +217,6 @@ def _times(frame: IntArray, record: Record) -> list[rr.TimeColumn]:
 
 def _strip(pose: Array, colour: int, *, width: float) -> rr.LineStrips3D:
     return rr.LineStrips3D([pose[:, :3, 3]], colors=colour, radii=rr.Radius.ui_points(width))
-
-
-def _principal(cov: Array) -> tuple[Array, Array]:
-    """Standard deviations ``(n, 3)``, increasing, and axes ``(n, 3, 3)``, a rotation each, of covariances."""
-    variance, axes = np.linalg.eigh(cov)
-    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
-    return np.sqrt(np.maximum(variance, 0.0)), axes
 
 
 def _xyzw(rotation: Array) -> Array:
