@@ -4,6 +4,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -41,14 +42,23 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         help="share by which an error may exceed the saved one, unless checks say that (default: 0.05)",
     )
     add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")
+    add(
+        "--rerun",
+        type=Path,
+        metavar="FILE",
+        help="write a recording for the Rerun viewer, too (.rrd; needs the extra vislam[rerun])",
+    )
 
 
 def refuse_bad_check_options(options: argparse.Namespace) -> None:
     """Raise ConfigError or DataError for what no run could mend."""
     if not 0.0 <= options.tolerance < float("inf"):
         raise ConfigError(f"--tolerance must be >= 0 and finite, got {options.tolerance}")
-    if options.junit is not None:
-        check_writable(options.junit)
+    if options.rerun is not None and find_spec("rerun") is None:
+        raise ConfigError("--rerun needs the Rerun SDK, which is not installed: pip install 'vislam[rerun]'")
+    for path in (options.junit, options.rerun):
+        if path is not None:
+            check_writable(path)
 
 
 def load_config(options: argparse.Namespace) -> Any:

@@ -62,7 +62,7 @@ def _compare(options: argparse.Namespace) -> int:
         against=options.against,
         tolerance=options.tolerance,
     )
-    return conclude(outcome.results, outcome.published, junit=options.junit)
+    return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
 
 
 def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:

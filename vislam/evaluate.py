@@ -51,7 +51,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     folder = options.out or options.results
     published = publish(results, folder, checklist)
     announce(results, published, folder, Terminal())
-    return conclude(results, published, junit=options.junit)
+    return conclude(results, published, junit=options.junit, rerun=options.rerun)
 
 
 if __name__ == "__main__":

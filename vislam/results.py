@@ -183,10 +183,15 @@ def announce(results: Results, published: Published, folder: Path, terminal: Ter
         terminal.note(verdict.line())
 
 
-def conclude(results: Results, published: Published, *, junit: Path | None) -> int:
-    """Write the checks as JUnit XML, if that is wanted, and return the exit code of the command."""
+def conclude(results: Results, published: Published, *, junit: Path | None, rerun: Path | None) -> int:
+    """Write the checks as JUnit XML and a recording for Rerun, if wanted; return the command's exit code."""
     if junit is not None:
         write_junit(junit, published.document)
+    if rerun is not None:
+        # It imports an optional package.
+        from vislam.report.recording import write_recording  # noqa: PLC0415
+
+        write_recording(rerun, results)
     if not all(run.complete for run in results.runs.values()):
         return 1
     return 0 if all(verdict.holds for verdict in published.verdicts) else 3

@@ -1,0 +1,69 @@
+"""Where runs are drawn in space: laid on their reference, in a world whose numbers stay small."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.data.reference import Reference
+from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.association import associate
+from vislam.evaluation.trajectory_scores import headline_alignment
+from vislam.geometry import se3
+from vislam.run import Run
+from vislam.types import Array
+
+_FEWEST = 3
+"""Frames in common with the reference without which a run is not aligned."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A run where it is drawn.
+
+    Attributes
+    ----------
+    pose, causal : (T, 4, 4)
+        Final and causal poses of the reference's point; of the body, without a reference.
+    position_cov : (T, 3, 3)
+        Covariances of the positions of ``pose`` in the world that is drawn [m^2]; NaN where not given.
+    points : (m, 3)
+        Landmarks [m].
+    """
+
+    pose: Array
+    causal: Array
+    position_cov: Array
+    points: Array
+
+
+def place(run: Run, reference: Reference | None) -> Placed:
+    """Lay a levelled run on the reference, at whose point its covariance is taken as well."""
+    body_T_point = np.eye(4) if reference is None else reference.imu_T_point
+    drawn_T_world = np.eye(4)
+    if reference is not None:
+        matched = associate(run.frame, run.stamp, run.world_T_imu, reference)
+        if len(matched.frame) >= _FEWEST:
+            found = find_alignment(headline_alignment(reference.planar), matched)
+            shift = found.translation - origin(reference)
+            drawn_T_world = se3.from_rotation_translation(found.rotation, shift)
+    pose = drawn_T_world @ run.world_T_imu @ body_T_point
+    # Position errors are v, in the axes of the point: with exp on the right, R v moves the origin.
+    turn = pose[:, :3, :3] @ se3.adjoint(se3.inverse(body_T_point))[3:]
+    return Placed(
+        pose=pose,
+        causal=drawn_T_world @ run.world_T_imu_causal @ body_T_point,
+        position_cov=turn @ run.pose_cov @ turn.transpose(0, 2, 1),
+        points=se3.transform(drawn_T_world, run.points_world),
+    )
+
+
+def origin(reference: Reference) -> Array:
+    """Where the drawn world begins ``(3,)``: Rerun draws in float32, which map coordinates would exhaust."""
+    return np.append(reference.position[0], [0.0] * (3 - reference.position.shape[1]))
+
+
+def principal_axes(cov: Array) -> tuple[Array, Array]:
+    """Standard deviations ``(n, 3)``, increasing, and axes ``(n, 3, 3)``, a rotation each, of covariances."""
+    variance, axes = np.linalg.eigh(cov)
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+    return np.sqrt(np.maximum(variance, 0.0)), axes
