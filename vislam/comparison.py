@@ -26,6 +26,8 @@ from vislam.members import members
 from vislam.motion import MotionNoise
 from vislam.report.figures import all_figures
 from vislam.report.page import write_page
+from vislam.report.scene import scene_data
+from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
 from vislam.run import Run
 from vislam.running import Runner
@@ -168,11 +170,11 @@ def write_results(
         frozen=frozen,
         provenance=made_by,
     )
-    paths = {}
-    for name, figure in all_figures(runs, dataset.reference, title=_title(config, dataset)).items():
-        paths[name] = folder / "figures" / f"{name}.png"
-        with replace_whole(paths[name]) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
+    shown = Shown.of(runs, dataset.reference, evaluation, dataset.sequence)
+    figures = all_figures(shown)
+    for name, drawing in figures.items():
+        with replace_whole(folder / "figures" / f"{name}.png") as temporary:
+            drawing.figure.savefig(temporary, format="png", dpi=130)
     write_page(
         folder / "report.html",
         title=_title(config, dataset),
@@ -184,7 +186,8 @@ def write_results(
         counts=dataset.sequence.counts,
         repairs=dataset.sequence.repairs,
         frozen="" if frozen is None else frozen.tell(runs),
-        figures=paths,
+        figures=figures,
+        scene=scene_data(shown),
         provenance="\n".join(f"{key}: {value}" for key, value in made_by.items()),
         config=text,
     )

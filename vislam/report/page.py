@@ -1,12 +1,14 @@
 """The self-contained report page."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import jinja2
+from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
+from plotly.offline import get_plotlyjs
 
 from vislam.data import Repair
 from vislam.data.reference import Reference
@@ -14,16 +16,11 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.evaluate import headline
 from vislam.files import replace_whole
+from vislam.report.figures import Drawing
+from vislam.report.shown import COLOURS
+from vislam.report.svg import themed_svg
 from vislam.report.table import Table, comparison_table
 from vislam.run import Run
-
-_CAPTIONS = {
-    "top_view": "Paths and landmarks from above, each path aligned with the reference.",
-    "error": "Position error after rigid alignment over the distance driven.",
-    "height_attitude": "Height and attitude.",
-    "nis": "Normalised innovation squared: above 1 the model claims too little noise, below 1 too much.",
-    "step_time": "Time of each step.",
-}
 
 
 def write_page(
@@ -38,27 +35,36 @@ def write_page(
     counts: Mapping[str, int],
     repairs: Sequence[Repair],
     frozen: str,
-    figures: Mapping[str, Path],
+    figures: Mapping[str, Drawing],
+    scene: Mapping[str, Any],
     provenance: str,
     config: str,
+    checks: Sequence[tuple[bool | None, str]] = (),
 ) -> None:
-    """Write the page, whole or not at all; figures are PNG files, taken into it."""
+    """Write the page, whole or not at all; it needs no other file and no network.
+
+    Parameters
+    ----------
+    scene : mapping
+        What :func:`vislam.report.scene.scene_data` gives; empty for a page without a scene.
+    checks : sequence of (holds, text)
+        Shown first; None where it cannot be told whether a check holds.
+    """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    template = environment.from_string(files("vislam.report").joinpath("page.html").read_text("utf-8"))
+    template = environment.from_string(_part("page.html"))
     text = template.render(
         title=title,
         notes=notes,
         failures=[(name, run.error) for name, run in runs.items() if not run.complete],
+        checks=checks,
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
-        table=comparison_table(runs, evaluation),
+        table=_turned(comparison_table(runs, evaluation)),
         rungs=_rungs(rungs),
         pairs=_pairs(evaluation),
-        figures=[
-            (name, caption, base64.b64encode(figures[name].read_bytes()).decode("ascii"))
-            for name, caption in _CAPTIONS.items()
-            if name in figures
-        ],
+        figures=[(name, drawing, _inline(name, drawing)) for name, drawing in figures.items()],
+        scene=htmlsafe_json_dumps(scene) if scene else "",
+        scene_note=_scene_note(scene) if scene else "",
         counts=_counts(counts, repairs, runs),
         repairs=_repairs(repairs),
         frozen=frozen,
@@ -66,9 +72,40 @@ def write_page(
         provenance=provenance,
         config=config,
         draw=_draw,
+        css=_part("page.css"),
+        page_js=_part("page.js"),
+        scene_js=_part("scene.js"),
+        plotly=Markup(get_plotlyjs()) if scene else "",
     )
     with replace_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _part(name: str) -> Markup:
+    """Text of a file of this package, which is not escaped."""
+    return Markup(files("vislam.report").joinpath(name).read_text("utf-8"))
+
+
+def _inline(name: str, drawing: Drawing) -> Markup:
+    svg = themed_svg(drawing.figure, name, colours=COLOURS)
+    label = escape(f"{drawing.title}: {drawing.caption}")
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
+
+
+def _scene_note(scene: Mapping[str, Any]) -> str:
+    """How many of the landmarks the scene draws."""
+    drawn = ", ".join(
+        f"{run['landmarks_drawn']} of {run['landmarks_all']} of {run['name']}"
+        for run in scene["runs"]
+        if run["landmarks_all"]
+    )
+    return f"Landmarks drawn: {drawn}; those far from all the paths are left out." if drawn else ""
+
+
+def _turned(table: Table) -> Table:
+    """The table with rows and columns exchanged: a row for each estimator."""
+    header, *rows = zip(table.header, *table.rows, strict=True)
+    return Table(["estimator", *header[1:]], rows)
 
 
 def verdict(runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None) -> str:
@@ -140,9 +177,18 @@ def _plain(value: object) -> str:
     return " ".join(str(item) for item in value) if isinstance(value, tuple | list) else str(value)
 
 
-def _draw(table: Table) -> Markup:
-    header = "".join(f"<th>{escape(cell)}</th>" for cell in table.header)
+def _draw(table: Table, caption: str, kind: str) -> Markup:
+    """A table in a box of its own that scrolls; the first cell of a row is the row's header."""
+    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in table.rows
     )
-    return Markup(f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>")
+    label = escape(caption)
+    return Markup(
+        f'<div class="wide" tabindex="0" role="group" aria-label="{label}, can be scrolled">'
+        f'<table class="{kind}" aria-label="{label}"><thead><tr>{header}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
