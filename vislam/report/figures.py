@@ -49,9 +49,9 @@ def height_attitude(shown: Shown) -> Figure:
     rows = figure.subplots(4, 1, sharex=True)
     reference = shown.reference
     for name, run in shown.runs.items():
-        _height_attitude(rows, run.stamp, run.world_T_imu, colour=shown.colour(name), label=name)
+        _height_attitude(rows, shown.time(run), run.world_T_imu, colour=shown.colour(name), label=name)
     if reference is not None and reference.pose is not None and np.allclose(reference.imu_T_point, np.eye(4)):
-        stamp = shown.sequence.stamp
+        stamp = shown.sequence.stamp - shown.sequence.stamp[0]
         inside = reference.frame < len(stamp)
         _height_attitude(
             rows, stamp[reference.frame[inside]], reference.pose[inside], colour="black", label=reference.name
@@ -113,11 +113,11 @@ def nis_over_time(shown: Shown) -> Figure | None:
         window = np.ones(min(_SMOOTHING, len(run.dof)))
         dof = np.convolve(run.dof, window, mode="same")
         nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
-        axes.plot(run.stamp, nis, lw=1, color=shown.colour(name), label=f"{name}, {_SMOOTHING} frames")
+        axes.plot(shown.time(run), nis, lw=1, color=shown.colour(name), label=f"{name}, {_SMOOTHING} frames")
         low, high = (chi2.ppf(share, np.maximum(dof, 1.0)) / np.maximum(dof, 1.0) for share in (0.025, 0.975))
         first = not axes.collections
         label = "95 % interval of a consistent filter" if first else None
-        axes.fill_between(run.stamp, low, high, color="0.8", lw=0, label=label)
+        axes.fill_between(shown.time(run), low, high, color="0.8", lw=0, label=label)
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel="time [s]", ylabel="NIS per degree of freedom", ylim=(0, None))
     axes.legend(loc="best", fontsize=8)

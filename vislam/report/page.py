@@ -93,13 +93,15 @@ def _inline(name: str, drawing: Drawing) -> Markup:
 
 
 def _scene_note(scene: Mapping[str, Any]) -> str:
-    """How many of the landmarks the scene draws."""
+    """What the scene leaves out or makes up."""
     drawn = ", ".join(
         f"{run['landmarks_drawn']} of {run['landmarks_all']} of {run['name']}"
         for run in scene["runs"]
         if run["landmarks_all"]
     )
-    return f"Landmarks drawn: {drawn}; those far from all the paths are left out." if drawn else ""
+    said = f"Landmarks drawn: {drawn}; those far from all the paths are left out. " if drawn else ""
+    flat = scene["reference"] is not None and scene["reference"]["flat"]
+    return said + ("The reference has no height and lies at that of the start." if flat else "")
 
 
 def _turned(table: Table) -> Table:
@@ -141,17 +143,17 @@ def _metres(value: float | None, form: str) -> str:
 
 
 def _pairs(evaluation: Evaluation) -> Table:
-    rows = [
-        [
-            metric.estimator.replace("|", " and "),
-            metric.key.replace("_", " "),
-            f"{metric.value:.2f}",
-            metric.unit,
-        ]
-        for metric in evaluation.metrics
-        if "|" in metric.estimator
-    ]
-    return Table(["estimators", "measure", "value", "unit"], rows)
+    """A row for each pair of estimators, a column for each measure."""
+    of_pairs = [metric for metric in evaluation.metrics if "|" in metric.estimator]
+    columns = {metric.key: metric.unit for metric in of_pairs}
+    values = {(metric.estimator, metric.key): metric for metric in of_pairs}
+    header = [key.replace("_", " ") + ("" if unit == "1" else f" [{unit}]") for key, unit in columns.items()]
+    rows = []
+    for pair in dict.fromkeys(metric.estimator for metric in of_pairs):
+        found = [values.get((pair, key)) for key in columns]
+        cells = ["-" if m is None else format(m.value, ".0f" if m.unit == "1" else ".2f") for m in found]
+        rows.append([pair.replace("|", " and "), *cells])
+    return Table(["estimators", *header], rows)
 
 
 def _counts(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:

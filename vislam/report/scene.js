@@ -109,13 +109,13 @@
     const made = [];
     runs.forEach((run, index) => made.push(trace("markers", now[index], {
       marker: { size: 1.6, color: runColour(index), opacity: 0.55, line: { width: 0 } },
-      name: `map of ${run.name}`, showlegend: run.firstSeen.length > 0,
+      name: `map of ${run.name}`, legendgroup: run.name, showlegend: false,
     })));
     runs.forEach((run, index) => made.push(trace("lines", now[runs.length + index], {
-      line: { width: 3, color: runColour(index) }, name: `pose of ${run.name}`, showlegend: false,
+      line: { width: 3, color: runColour(index) }, name: `pose of ${run.name}`, legendgroup: run.name, showlegend: false,
     })));
     runs.forEach((run, index) => made.push(trace("lines", run.path, {
-      line: { width: 4, color: runColour(index) }, name: run.name,
+      line: { width: 4, color: runColour(index) }, name: run.name, legendgroup: run.name,
     })));
     if (data.reference) {
       made.push(trace("markers", columns(decode(data.reference.position)), {
@@ -129,9 +129,9 @@
     zerolinecolor: line, showbackground: false, showspikes: false, nticks: index === 2 ? 3 : 7,
   });
   const views = {
-    oblique: { eye: { x: -0.9, y: -1.1, z: 0.9 }, up: { x: 0, y: 0, z: 1 } },
-    above: { eye: { x: 0, y: -0.001, z: 1.6 }, up: { x: 0, y: 1, z: 0 } },
-    side: { eye: { x: 0, y: -1.8, z: 0.15 }, up: { x: 0, y: 0, z: 1 } },
+    oblique: { eye: { x: -1.1, y: -1.5, z: 1.3 }, up: { x: 0, y: 0, z: 1 } },
+    above: { eye: { x: 0, y: -0.001, z: 2.1 }, up: { x: 0, y: 1, z: 0 } },
+    side: { eye: { x: 0, y: -2.2, z: 0.15 }, up: { x: 0, y: 0, z: 1 } },
   };
   const layout = () => {
     const [ink, line] = [colour("--ink"), colour("--line")];
@@ -139,7 +139,7 @@
     const [x, y, z] = names.map((name, index) => axis(name, index, ink, line));
     return {
       margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept", paper_bgcolor: "rgba(0,0,0,0)",
-      font: { color: ink, size: 12 },
+      font: { color: ink, size: 12, family: getComputedStyle(document.body).fontFamily },
       legend: { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)", itemsizing: "constant" },
       scene: { xaxis: x, yaxis: y, zaxis: z, aspectmode: "data", camera: views.oblique, uirevision: "kept" },
     };
@@ -190,10 +190,18 @@
 
   element("scene-body").hidden = false;
   tell();
-  Plotly.newPlot(plot, traces(), layout(), settings).then(() => {
+  const draw = async () => {
+    await Plotly.newPlot(plot, traces(), layout(), settings);
     busy = false;
     plot.dataset.drawn = "true";
     document.addEventListener("themechange", () => Plotly.react(plot, traces(), layout(), settings));
     if (asked) update();
-  });
+  };
+  // Drawing is slow without a graphics card, so it waits until the scene is about to be seen.
+  const watcher = new IntersectionObserver((entries) => {
+    if (!entries.some((entry) => entry.isIntersecting)) return;
+    watcher.disconnect();
+    draw();
+  }, { rootMargin: "400px" });
+  watcher.observe(plot);
 })();

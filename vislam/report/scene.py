@@ -37,7 +37,11 @@ def scene_data(shown: Shown) -> dict[str, Any]:
         "high": (high + _MARGIN).tolist(),
         "reference": None
         if reference is None
-        else {"name": reference.name, "position": _packed(_solid(reference.position))},
+        else {
+            "name": reference.name,
+            "flat": reference.planar,
+            "position": _packed(_solid(reference.position)),
+        },
         "runs": [
             {"name": name, "path": _packed(paths[name])}
             | _moving(shown, run, placed[name])
@@ -67,7 +71,7 @@ def _moving(shown: Shown, run: Run, pose: Array) -> dict[str, str]:
 
 
 def three_sigma_axes(cov: Array) -> Array:
-    """Semi-axes of the three-sigma ellipsoids of covariances ``(T, 3, 3)``, in columns; NaN where not given."""
+    """Semi-axes, in columns, of the three-sigma ellipsoids of covariances ``(T, 3, 3)``; NaN where not given."""
     axes = np.full(cov.shape, np.nan)
     given = np.isfinite(cov).all(axis=(1, 2))
     values, vectors = np.linalg.eigh(cov[given])

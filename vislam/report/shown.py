@@ -54,6 +54,10 @@ class Shown:
         """Colour of a run, the same in every figure."""
         return COLOURS[list(self.runs).index(name) % len(COLOURS)]
 
+    def time(self, run: Run) -> Array:
+        """Time since the start of the recording at each frame of a run, ``(T,)`` [s]."""
+        return run.stamp - self.sequence.stamp[0]
+
     def matched(self, run: Run) -> bool:
         """Whether the reference covers enough frames of a run for an alignment."""
         return self.reference is not None and np.count_nonzero(self.reference.frame < len(run.stamp)) > 2

@@ -1,9 +1,10 @@
 """The drive from above: all the paths, and the map of each estimator by how sure it is of it."""
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
-from matplotlib.colors import LogNorm
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from vislam.geometry import se3
@@ -13,6 +14,8 @@ from vislam.types import Array
 
 _WIDTH = 7.2
 """Width of the figure [inch]."""
+_COLOUR_MAP = ListedColormap(colormaps["cividis"](np.linspace(0.0, 0.85, 256)), name="cividis_on_paper")
+"""Cividis without the yellows that cannot be seen on white paper."""
 _SIGMA_SHARES = (0.02, 0.98)
 """Quantiles of the landmarks' uncertainty at which the colours end."""
 
@@ -24,7 +27,7 @@ def top_view(shown: Shown) -> Figure:
     columns = 2 if mapped else 1
     rows = -(-(1 + len(mapped)) // columns)
     tall = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.25))
-    size = (_WIDTH, 0.9 + rows * (0.45 + tall * _WIDTH / columns))
+    size = (_WIDTH, 0.9 + rows * (0.25 + tall * (_WIDTH - 0.9) / columns))
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     first, *others = panels.flat
@@ -90,7 +93,7 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
             # The least certain first, so that they do not hide the others.
             order = np.argsort(-sigma[name])
             coloured = axes.scatter(
-                *points[order].T, s=1.5, lw=0, c=sigma[name][order], cmap="cividis", norm=norm
+                *points[order].T, s=1.5, lw=0, c=sigma[name][order], cmap=_COLOUR_MAP, norm=norm
             )
             coloured.set_rasterized(True)
         else:
