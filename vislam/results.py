@@ -18,12 +18,15 @@ from vislam.files import replace_whole
 from vislam.record import Record
 from vislam.report.figures import all_figures
 from vislam.report.page import write_page
+from vislam.report.scene import scene_data
+from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
 from vislam.run import Run
 from vislam.terminal import Terminal
 
 SCHEMA_VERSION = 1
 RECORD = "record.npz"
+_DPI = 130
 
 
 @dataclass(frozen=True)
@@ -107,11 +110,11 @@ def publish(results: Results, folder: Path, checklist: Checklist) -> Published:
     document = metrics_document(results, evaluation, rungs, verdicts)
     with replace_whole(folder / "metrics.json") as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    paths = {}
-    for name, figure in all_figures(runs, record.reference, title=results.title).items():
-        paths[name] = folder / "figures" / f"{name}.png"
-        with replace_whole(paths[name]) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
+    shown = Shown.of(runs, record, evaluation, rungs)
+    figures = all_figures(shown)
+    for name, drawing in figures.items():
+        with replace_whole(folder / "figures" / f"{name}.png") as temporary:
+            drawing.figure.savefig(temporary, format="png", dpi=_DPI)
     write_page(
         folder / "report.html",
         title=results.title,
@@ -123,7 +126,9 @@ def publish(results: Results, folder: Path, checklist: Checklist) -> Published:
         counts=record.counts,
         repairs=record.repairs,
         frozen=results.frozen_told(),
-        figures=paths,
+        figures=figures,
+        scene=scene_data(shown),
+        checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=configuration.dump(config),
     )

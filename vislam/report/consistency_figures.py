@@ -1,18 +1,15 @@
 """Figures of what runs claim of themselves: against a reference, and against each other."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
-from vislam.evaluation.evaluate import Evaluation
+from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import PROBABILITIES, Normalised
-from vislam.evaluation.scores import RunScores
 from vislam.evaluation.statistics import LAGS
-from vislam.report.figures import colours
+from vislam.report.shown import COLOURS, Shown
 from vislam.run import Run
 
 _MAIN = ("nees_pose", "nees_position_planar")
@@ -26,24 +23,26 @@ _LOWEST = 1e-3
 """Where logarithmic axes of squared errors begin."""
 
 
-def main_claims(scores: Mapping[str, RunScores]) -> dict[str, Normalised]:
+def main_claims(shown: Shown) -> dict[str, Normalised]:
     """The errors beside claims that stand for each run's consistency, for those that have any."""
     found = {}
-    for name, one in scores.items():
+    for name, one in shown.scores.items():
         claim = next((one.claims[key] for key in _MAIN if key in one.claims), None)
         if claim is not None:
             found[name] = claim
     return found
 
 
-def nees(scores: Mapping[str, RunScores]) -> Figure:
+def nees(shown: Shown) -> Figure | None:
     """Normalised squared error of each pose, per degree of freedom, with its 95 % interval."""
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    claims = main_claims(shown)
+    if not claims:
+        return None
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
-    claims = main_claims(scores)
     for name, claim in claims.items():
         values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
-        axes.plot(claim.index, values, lw=0.9, color=colours(scores)[name], label=name)
+        axes.plot(claim.index, values, lw=0.9, color=shown.colour(name), label=name)
     freedom = next(iter(claims.values())).whitened.shape[1]
     low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
@@ -53,28 +52,62 @@ def nees(scores: Mapping[str, RunScores]) -> Figure:
     return figure
 
 
-def coverage(scores: Mapping[str, RunScores]) -> Figure:
+def bands(shown: Shown) -> Figure | None:
+    """Each component of the error with the three standard deviations that were claimed of it."""
+    claims = main_claims(shown)
+    if not claims:
+        return None
+    size = next(iter(claims.values())).error.shape[1]
+    components = [("x", "m"), ("y", "m")]
+    if size == len(COMPONENTS):
+        components = list(zip(COMPONENTS, ["deg"] * 3 + ["m"] * 3, strict=True))
+    figure = Figure(figsize=(7.2, 1.0 + 1.3 * size), layout="constrained")
+    rows = figure.subplots(size, 1, sharex=True, squeeze=False)[:, 0]
+    for index, (axes, (component, unit)) in enumerate(zip(rows, components, strict=True)):
+        scale = float(np.rad2deg(1.0)) if unit == "deg" else 1.0
+        reach = 0.0
+        for name, claim in claims.items():
+            error, limit = scale * claim.error[:, index], _SIGMAS * scale * claim.sigma[:, index]
+            axes.plot(claim.index, error, lw=0.9, color=shown.colour(name), label=name)
+            axes.fill_between(claim.index, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
+            # Who has not seen the camera would flatten the others.
+            if len(shown.runs[name].track) or len(claims) == 1:
+                reach = max(reach, 1.5 * float(np.abs(error).max()))
+        axes.set_ylabel(f"{component} [{unit}]")
+        if reach > 0.0:
+            axes.set_ylim(-reach, reach)
+    rows[-1].set_xlabel("frame")
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    return figure
+
+
+def coverage(shown: Shown) -> Figure | None:
     """Share of the errors within what was claimed, against the share that was claimed."""
-    figure = Figure(figsize=(5.5, 5), layout="constrained")
+    claims = main_claims(shown)
+    if not claims:
+        return None
+    figure = Figure(figsize=(5.0, 4.6), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="as claimed")
-    for name, claim in main_claims(scores).items():
-        axes.plot(PROBABILITIES, claim.coverage_curve(), color=colours(scores)[name], label=name)
+    for name, claim in claims.items():
+        axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=name)
     axes.set(xlabel="claimed share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
     axes.set_aspect("equal")
     axes.legend(loc="best", fontsize=8)
     return figure
 
 
-def whiteness(scores: Mapping[str, RunScores]) -> Figure:
+def whiteness(shown: Shown) -> Figure | None:
     """Autocorrelation of the NIS over the first lags, with the band of a white sequence."""
-    figure = Figure(figsize=(9, 3.5), layout="constrained")
+    there = {name: one.whiteness for name, one in shown.scores.items() if one.whiteness is not None}
+    if not there:
+        return None
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     axes = figure.subplots()
-    shown = {name: one.whiteness for name, one in scores.items() if one.whiteness is not None}
-    width = 0.8 / max(len(shown), 1)
-    for index, (name, found) in enumerate(shown.items()):
+    width = 0.8 / len(there)
+    for index, (name, found) in enumerate(there.items()):
         at = found.lag - 0.4 + (index + 0.5) * width
-        axes.bar(at, found.autocorrelation, width=width, color=colours(scores)[name], label=name)
+        axes.bar(at, found.autocorrelation, width=width, color=shown.colour(name), label=name)
         axes.axhspan(-found.band, found.band, color="0.8", lw=0, zorder=0)
     axes.axhline(0.0, color="k", lw=0.6)
     axes.set(xlabel="lag [frames]", ylabel="autocorrelation of the NIS", xlim=(0.4, LAGS + 0.6))
@@ -82,42 +115,42 @@ def whiteness(scores: Mapping[str, RunScores]) -> Figure:
     return figure
 
 
-def distances(evaluation: Evaluation) -> Figure:
+def distances(shown: Shown) -> Figure | None:
     """Squared Mahalanobis distance of each pair's poses, per degree of freedom, with where they part."""
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    pairs = {pair: one.agreement for pair, one in shown.evaluation.pairs.items() if one.agreement is not None}
+    if not pairs:
+        return None
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
-    pairs = {pair: one.agreement for pair, one in evaluation.pairs.items() if one.agreement is not None}
-    colour = colours(" and ".join(pair) for pair in pairs)
-    for pair, found in pairs.items():
-        label = " and ".join(pair)
+    for index, (pair, found) in enumerate(pairs.items()):
+        label, colour = " and ".join(pair), COLOURS[index % len(COLOURS)]
         squared = np.maximum(found.squared / 6.0, _LOWEST)
-        axes.plot(found.frame, squared, lw=0.9, color=colour[label], label=label)
+        axes.plot(found.frame, squared, lw=0.9, color=colour, label=label)
         frame = found.parting()
         if frame is not None:
-            axes.axvline(frame, color=colour[label], lw=0.9, ls=":")
+            axes.axvline(frame, color=colour, lw=0.9, ls=":")
     axes.axhline(chi2.ppf(0.95, 6) / 6.0, color="k", lw=0.8, ls="--", label="95 % bound")
     axes.set(xlabel="frame", ylabel="squared distance per degree of freedom", yscale="log")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 
-def parting(evaluation: Evaluation) -> Figure | None:
+def parting(shown: Shown) -> Figure | None:
     """Paths and 3-sigma ellipses of the runs about where they part, a panel a pair; None if none do."""
     parted = {
         pair: frame
-        for pair, one in evaluation.pairs.items()
+        for pair, one in shown.evaluation.pairs.items()
         if one.agreement is not None and (frame := one.agreement.parting()) is not None
     }
     if not parted:
         return None
     columns = min(len(parted), 3)
     lines = -(-len(parted) // columns)
-    figure = Figure(figsize=(9, 9 / columns * lines), layout="constrained")
+    figure = Figure(figsize=(7.2, 7.2 / columns * lines), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    colour = colours(evaluation.scores)
     for axes, (pair, frame) in zip(panels, parted.items(), strict=False):
         for name in pair:
-            _ellipses(axes, evaluation.scores[name].run, frame, colour=colour[name])
+            _ellipses(axes, shown.runs[name], frame, colour=shown.colour(name))
         axes.set_title(f"{pair[0]} and {pair[1]}: frame {frame}", fontsize=9)
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")

@@ -1,32 +1,31 @@
-"""Figures of errors against a reference: segments by length, rungs of a ladder, accuracy against time."""
-
-from collections.abc import Mapping, Sequence
+"""Figures of errors: segments by length, rungs of a ladder, accuracy against time."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from vislam.evaluation import Evaluation
-from vislam.evaluation.attribution import Rung
-from vislam.evaluation.trajectory_scores import TrajectoryScores
-from vislam.report.figures import colours
-from vislam.run import Run
+from vislam.evaluation.evaluate import headline
+from vislam.report.shown import COLOURS, Shown
 
 _WIDTH = 0.8
 """Share of the room between two lengths that their boxes take."""
 
 
-def segment_errors(scores: Mapping[str, TrajectoryScores]) -> Figure:
+def segment_errors(shown: Shown) -> Figure | None:
     """Relative errors by the length of the segments, a box an estimator: quartiles, and 5 to 95 %."""
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    finals = {name: one.final for name, one in shown.scores.items()}
+    scores = {name: final for name, final in finals.items() if final is not None and final.by_distance}
+    if not scores:
+        return None
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
     lengths = sorted({length for one in scores.values() for length in one.by_distance})
     width = _WIDTH / max(len(scores), 1)
     for index, (name, one) in enumerate(scores.items()):
-        shown = [place for place, length in enumerate(lengths) if length in one.by_distance]
-        colour = colours(scores)[name]
+        there = [place for place, length in enumerate(lengths) if length in one.by_distance]
+        colour = shown.colour(name)
         drawn = axes.boxplot(
-            [one.by_distance[lengths[place]].translation_error for place in shown],
-            positions=[place - 0.5 * _WIDTH + (index + 0.5) * width for place in shown],
+            [one.by_distance[lengths[place]].translation_error for place in there],
+            positions=[place - 0.5 * _WIDTH + (index + 0.5) * width for place in there],
             widths=0.85 * width,
             whis=(5, 95),
             showfliers=False,
@@ -44,14 +43,17 @@ def segment_errors(scores: Mapping[str, TrajectoryScores]) -> Figure:
     return figure
 
 
-def ladder(rungs: Sequence[Rung]) -> Figure:
+def ladder(shown: Shown) -> Figure | None:
     """Error of each rung, as known in the end and at its own time."""
-    figure = Figure(figsize=(9, 0.6 + 0.45 * len(rungs)), layout="constrained")
+    rungs = shown.rungs
+    if not rungs:
+        return None
+    figure = Figure(figsize=(7.2, 0.8 + 0.45 * len(rungs)), layout="constrained")
     axes = figure.subplots()
     place = np.arange(len(rungs))
     for offset, key, colour, label in (
-        (-0.2, "error", "#0072B2", "as known in the end"),
-        (0.2, "causal", "#E69F00", "as known at each time"),
+        (-0.2, "error", COLOURS[0], "as known in the end"),
+        (0.2, "causal", COLOURS[5], "as known at each time"),
     ):
         values = [np.nan if (value := getattr(rung, key)) is None else value for rung in rungs]
         bars = axes.barh(place + offset, values, height=0.38, color=colour, label=label)
@@ -65,17 +67,22 @@ def ladder(rungs: Sequence[Rung]) -> Figure:
     return figure
 
 
-def accuracy_against_time(runs: Mapping[str, Run], evaluation: Evaluation, *, key: str) -> Figure:
+def accuracy_against_time(shown: Shown) -> Figure | None:
     """Error against the time that it took, a point for each complete run."""
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    key, label = "held_out_median", "median error of held-out tracks [px]"
+    if shown.reference is not None:
+        key, label = headline(shown.reference), "ATE [m]"
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
-    for name in runs:
-        error, seconds = evaluation.value(name, key), evaluation.value(name, "total_time_s")
-        if error is None or seconds is None or not runs[name].complete:
+    for name, run in shown.runs.items():
+        error, seconds = shown.evaluation.value(name, key), shown.evaluation.value(name, "total_time_s")
+        if error is None or seconds is None or not run.complete:
             continue
-        axes.plot(seconds, error, "o", ms=9, color=colours(runs)[name])
+        axes.plot(seconds, error, "o", ms=9, color=shown.colour(name))
         axes.annotate(name, (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
-    axes.set(xlabel="total time [s]", ylabel="ATE [m]", xscale="log", yscale="log")
+    axes.set(xlabel="total time [s]", ylabel=label, xscale="log", yscale="log")
+    if not axes.lines:
+        return None
     axes.margins(0.2)
     axes.grid(alpha=0.3, which="both", lw=0.4)
     return figure

@@ -1,6 +1,7 @@
 """Figures of a comparison: data in, Figure out."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,87 +9,51 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from vislam.data.reference import Reference
-from vislam.evaluation.alignment import find_alignment
-from vislam.evaluation.association import Matched, associate
-from vislam.evaluation.trajectory import ate, distance_driven
-from vislam.run import Run
+from vislam.evaluation.trajectory import distance_driven
+from vislam.report import consistency_figures, error_figures
+from vislam.report.shown import Shown
+from vislam.report.top_view import top_view
 from vislam.types import Array
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
-_COLOURS = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"),
-    *("#332288", "#999933", "#882255"),
-)
+_SIZE = (7.2, 3.6)
+"""Width and height of a figure of one panel [inch]."""
 _SMALLEST_ERROR = 1e-2
 """Where the logarithmic axis of the error starts [m]; on a linear one dead reckoning flattens the rest."""
 _SMOOTHING = 25
 """Frames over which the NIS is averaged."""
 
 
-def all_figures(runs: Mapping[str, Run], reference: Reference | None, *, title: str) -> dict[str, Figure]:
-    """Every figure of a comparison, by file name."""
-    shown = {name: run.levelled() for name, run in runs.items() if len(run.stamp) > 2}
-    figures = {
-        "top_view": top_view(shown, reference, title=title),
-        "height_attitude": height_attitude(shown, reference),
-        "step_time": step_time(shown),
-    }
-    if reference is not None:
-        figures["error"] = error_over_distance(shown, reference)
-    if any(run.dof.sum() > 0 for run in shown.values()):
-        figures["nis"] = nis_over_time(shown)
-    return figures
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with the words that go with it.
+
+    Attributes
+    ----------
+    title, caption : str
+    figure : Figure
+    """
+
+    title: str
+    caption: str
+    figure: Figure
 
 
-def colours(names: Iterable[str]) -> dict[str, str]:
-    """One colour for each run, the same in every figure."""
-    return {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(names)}
+def all_figures(shown: Shown) -> dict[str, Drawing]:
+    """Every figure that can be drawn of a comparison, by file name."""
+    drawn = {name: (title, caption, draw(shown)) for name, (draw, title, caption) in FIGURES.items()}
+    return {name: Drawing(title, caption, f) for name, (title, caption, f) in drawn.items() if f is not None}
 
 
-def top_view(runs: Mapping[str, Run], reference: Reference | None, *, title: str) -> Figure:
-    """Paths and landmarks from above, aligned with the reference where there is one."""
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    axes = figure.subplots()
-    for name, run in runs.items():
-        rotation, translation = np.eye(2), np.zeros(2)
-        matched = None if reference is None else _matched(run, reference)
-        if matched is not None and len(matched.frame) > 2:
-            alignment = find_alignment("planar", matched)
-            rotation, translation = alignment.rotation[:2, :2], alignment.translation[:2]
-        colour = colours(runs)[name]
-        if len(run.points_world):
-            points = run.points_world[:, :2] @ rotation.T + translation
-            axes.plot(*points.T, ".", ms=1, alpha=0.25, color=colour, rasterized=True)
-        path = (run.world_T_imu @ (np.eye(4) if reference is None else reference.imu_T_point))[:, :2, 3]
-        axes.plot(*(path @ rotation.T + translation).T, color=colour, lw=1.2, label=name)
-    if reference is not None:
-        axes.plot(*reference.position[:, :2].T, "k.", ms=3, label=reference.name)
-        low, high = reference.position[:, :2].min(axis=0), reference.position[:, :2].max(axis=0)
-        margin = 0.15 * float((high - low).max()) + 20.0
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-    axes.set(title=title, xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal")
-    axes.legend(loc="best", fontsize=8)
-    return figure
-
-
-def _matched(run: Run, reference: Reference) -> Matched:
-    return associate(run.frame, run.stamp, run.world_T_imu, reference)
-
-
-def height_attitude(runs: Mapping[str, Run], reference: Reference | None) -> Figure:
+def height_attitude(shown: Shown) -> Figure:
     """Height, roll, pitch and yaw over time."""
-    figure = Figure(figsize=(9, 8), layout="constrained")
+    figure = Figure(figsize=(7.2, 6.8), layout="constrained")
     rows = figure.subplots(4, 1, sharex=True)
-    for name, run in runs.items():
-        _height_attitude(rows, run.stamp, run.world_T_imu, colour=colours(runs)[name], label=name)
+    reference = shown.reference
+    for name, run in shown.runs.items():
+        _height_attitude(rows, shown.time(run), run.world_T_imu, colour=shown.colour(name), label=name)
     if reference is not None and reference.pose is not None and np.allclose(reference.imu_T_point, np.eye(4)):
-        stamp = max((run.stamp for run in runs.values()), key=len)
-        inside = reference.frame < len(stamp)
-        _height_attitude(
-            rows, stamp[reference.frame[inside]], reference.pose[inside], colour="black", label=reference.name
-        )
+        stamp = shown.record.stamp[reference.frame] - shown.record.stamp[0]
+        _height_attitude(rows, stamp, reference.pose, colour="black", label=reference.name)
     for axes, label in zip(rows, ("height [m]", "roll [deg]", "pitch [deg]", "yaw [deg]"), strict=True):
         axes.set_ylabel(label)
     rows[0].legend(loc="best", fontsize=8)
@@ -103,20 +68,22 @@ def _height_attitude(rows: list[Axes], stamp: Array, pose: Array, *, colour: str
         axes.plot(stamp, values, lw=1, color=colour, label=label)
 
 
-def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure:
+def error_over_distance(shown: Shown) -> Figure | None:
     """Position error after alignment over the distance driven, with the causal 3-sigma claim."""
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    reference = shown.reference
+    if reference is None:
+        return None
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
-    for name, run in runs.items():
-        matched = _matched(run, reference)
-        if len(matched.frame) < 3:
+    for name, run in shown.runs.items():
+        found = shown.scores[name].final
+        if found is None:
             continue
-        errors = ate(matched, find_alignment("planar" if reference.planar else "se3", matched))
         driven = distance_driven(run.world_T_imu)
-        colour = colours(runs)[name]
+        colour = shown.colour(name)
         axes.plot(
-            driven[np.searchsorted(run.frame, errors.frame)],
-            np.linalg.norm(errors.position_error, axis=1),
+            driven[np.searchsorted(run.frame, found.headline.frame)],
+            np.linalg.norm(found.headline.position_error, axis=1),
             ".-",
             ms=2,
             lw=0.8,
@@ -128,38 +95,113 @@ def error_over_distance(runs: Mapping[str, Run], reference: Reference) -> Figure
             axes.plot(driven, spread, "--", lw=0.9, alpha=0.8, color=colour)
     axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]")
     axes.set(yscale="log", ylim=(_SMALLEST_ERROR, None))
-    axes.set_title("dashed: three standard deviations from the start, as claimed at the time", fontsize=9)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 
-def nis_over_time(runs: Mapping[str, Run]) -> Figure:
+def nis_over_time(shown: Shown) -> Figure | None:
     """Normalised innovation squared per degree of freedom, with its 95 % interval under the model."""
-    figure = Figure(figsize=(9, 4), layout="constrained")
+    if not any(run.dof.sum() > 0 for run in shown.runs.values()):
+        return None
+    figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
-    for name, run in runs.items():
+    for name, run in shown.runs.items():
         if run.dof.sum() == 0:
             continue
         window = np.ones(min(_SMOOTHING, len(run.dof)))
         dof = np.convolve(run.dof, window, mode="same")
         nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
-        axes.plot(run.stamp, nis, lw=1, color=colours(runs)[name], label=f"{name}, {_SMOOTHING} frames")
+        axes.plot(shown.time(run), nis, lw=1, color=shown.colour(name), label=f"{name}, {_SMOOTHING} frames")
         low, high = (chi2.ppf(share, np.maximum(dof, 1.0)) / np.maximum(dof, 1.0) for share in (0.025, 0.975))
         first = not axes.collections
         label = "95 % interval of a consistent filter" if first else None
-        axes.fill_between(run.stamp, low, high, color="0.8", lw=0, label=label)
+        axes.fill_between(shown.time(run), low, high, color="0.8", lw=0, label=label)
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel="time [s]", ylabel="NIS per degree of freedom", ylim=(0, None))
     axes.legend(loc="best", fontsize=8)
     return figure
 
 
-def step_time(runs: Mapping[str, Run]) -> Figure:
+def step_time(shown: Shown) -> Figure:
     """Time of each step."""
-    figure = Figure(figsize=(9, 4), layout="constrained")
+    figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
-    for name, run in runs.items():
-        axes.semilogy(1e3 * run.step_time, lw=0.6, color=colours(runs)[name], label=name)
+    for name, run in shown.runs.items():
+        if len(run.step_time):
+            axes.semilogy(1e3 * run.step_time, lw=0.6, color=shown.colour(name), label=name)
     axes.set(xlabel="frame", ylabel="step time [ms]")
     axes.legend(loc="best", fontsize=8)
     return figure
+
+
+FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
+    "top_view": (
+        top_view,
+        "From above",
+        "Paths, and the map of each estimator, from above. Each is laid on the reference by a turn about "
+        "the vertical and a shift; without a reference all start at the same pose.",
+    ),
+    "error": (
+        error_over_distance,
+        "Position error",
+        "Position error after rigid alignment over the distance driven. Dashed: three standard deviations "
+        "since the start, as claimed at the time.",
+    ),
+    "height_attitude": (height_attitude, "Height and attitude", "Height, roll, pitch and yaw over time."),
+    "nis": (
+        nis_over_time,
+        "Innovations",
+        "Normalised innovation squared per degree of freedom: above 1 the model claims too little noise, "
+        "below 1 too much.",
+    ),
+    "whiteness": (
+        consistency_figures.whiteness,
+        "Whiteness",
+        "Autocorrelation of the NIS: bars beyond the grey band mean that innovations depend on those before, "
+        "so that they count as fewer.",
+    ),
+    "bands": (
+        consistency_figures.bands,
+        "Errors and claims",
+        "Each component of the error, and three standard deviations as claimed. Worlds are joined as the "
+        "metrics say.",
+    ),
+    "nees": (
+        consistency_figures.nees,
+        "Consistency",
+        "Normalised squared error per degree of freedom: above the grey band an estimate is farther off than "
+        "it claims.",
+    ),
+    "coverage": (
+        consistency_figures.coverage,
+        "Coverage",
+        "Share of the errors that lie within what was claimed, against the share that should: below the "
+        "diagonal too much is claimed.",
+    ),
+    "segments": (
+        error_figures.segment_errors,
+        "Errors of segments",
+        "Translation error over segments of the way: quartiles, and 5 to 95 %. Against a reference without "
+        "attitudes, errors of displacements in the plane.",
+    ),
+    "distances": (
+        consistency_figures.distances,
+        "Distance in their own claims",
+        "Squared Mahalanobis distance of each two estimates by the sum of their covariances, with no "
+        "reference involved. Dotted: from there on they contradict each other.",
+    ),
+    "parting": (
+        consistency_figures.parting,
+        "Where they part",
+        "Paths and three-sigma ellipses about the frame from which two estimates contradict each other, both "
+        "begun at the same pose.",
+    ),
+    "ladder": (error_figures.ladder, "The ladder", "Error of each rung."),
+    "step_time": (step_time, "Time of each step", "Time that each frame took, on a logarithmic axis."),
+    "cost": (
+        error_figures.accuracy_against_time,
+        "Accuracy against time",
+        "What the time of each estimator buys: nearer to the lower left is better.",
+    ),
+}
+"""What draws each figure (None where the results do not have it), its title and its caption."""

@@ -1,29 +1,26 @@
 """The self-contained report page."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import jinja2
+from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
+from plotly.offline import get_plotlyjs
 
 from vislam.data import Repair
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.evaluation.evaluate import headline
 from vislam.files import replace_whole
+from vislam.report.figures import Drawing
+from vislam.report.shown import COLOURS
+from vislam.report.svg import themed_svg
 from vislam.report.table import Table, comparison_table
+from vislam.report.verdict import verdict
 from vislam.run import Run
-
-_CAPTIONS = {
-    "top_view": "Paths and landmarks from above, each path aligned with the reference.",
-    "error": "Position error after rigid alignment over the distance driven.",
-    "height_attitude": "Height and attitude.",
-    "nis": "Normalised innovation squared: above 1 the model claims too little noise, below 1 too much.",
-    "step_time": "Time of each step.",
-}
 
 
 def write_page(
@@ -38,27 +35,36 @@ def write_page(
     counts: Mapping[str, int],
     repairs: Sequence[Repair],
     frozen: str,
-    figures: Mapping[str, Path],
+    figures: Mapping[str, Drawing],
+    scene: Mapping[str, Any],
     provenance: str,
     config: str,
+    checks: Sequence[tuple[bool | None, str]] = (),
 ) -> None:
-    """Write the page, whole or not at all; figures are PNG files, taken into it."""
+    """Write the page, whole or not at all; it needs no other file and no network.
+
+    Parameters
+    ----------
+    scene : mapping
+        What :func:`vislam.report.scene.scene_data` gives; empty for a page without a scene.
+    checks : sequence of (holds, text)
+        Shown first; None where it cannot be told whether a check holds.
+    """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    template = environment.from_string(files("vislam.report").joinpath("page.html").read_text("utf-8"))
+    template = environment.from_string(_part("page.html"))
     text = template.render(
         title=title,
         notes=notes,
         failures=[(name, run.error) for name, run in runs.items() if not run.complete],
+        checks=checks,
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
-        table=comparison_table(runs, evaluation),
+        table=_turned(comparison_table(runs, evaluation)),
         rungs=_rungs(rungs),
         pairs=_pairs(evaluation),
-        figures=[
-            (name, caption, base64.b64encode(figures[name].read_bytes()).decode("ascii"))
-            for name, caption in _CAPTIONS.items()
-            if name in figures
-        ],
+        figures=[(name, drawing, _inline(name, drawing)) for name, drawing in figures.items()],
+        scene=htmlsafe_json_dumps(scene) if scene else "",
+        scene_note=_scene_note(scene) if scene else "",
         counts=_counts(counts, repairs, runs),
         repairs=_repairs(repairs),
         frozen=frozen,
@@ -66,21 +72,42 @@ def write_page(
         provenance=provenance,
         config=config,
         draw=_draw,
+        css=_part("page.css"),
+        page_js=_part("page.js"),
+        scene_js=_part("scene.js"),
+        plotly=Markup(get_plotlyjs()) if scene else "",
     )
     with replace_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def verdict(runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None) -> str:
-    """One sentence: who came closest, or that nobody can tell."""
-    if reference is None:
-        return "Without a reference nothing here says who is right; see how far the estimates are apart."
-    scored = {name: evaluation.value(name, headline(reference)) for name, run in runs.items() if run.complete}
-    ranked = sorted((value, name) for name, value in scored.items() if value is not None)
-    if not ranked:
-        return "No estimator finished, so there is no verdict."
-    listed = ", ".join(f"{name} {value:.2f} m" for value, name in ranked)
-    return f"Closest to {reference.name} is {ranked[0][1]} (ATE after rigid alignment: {listed})."
+def _part(name: str) -> Markup:
+    """Text of a file of this package, which is not escaped."""
+    return Markup(files("vislam.report").joinpath(name).read_text("utf-8"))
+
+
+def _inline(name: str, drawing: Drawing) -> Markup:
+    svg = themed_svg(drawing.figure, name, colours=COLOURS)
+    label = escape(f"{drawing.title}: {drawing.caption}")
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
+
+
+def _scene_note(scene: Mapping[str, Any]) -> str:
+    """What the scene leaves out or makes up."""
+    drawn = ", ".join(
+        f"{run['landmarks_drawn']} of {run['landmarks_all']} of {run['name']}"
+        for run in scene["runs"]
+        if run["landmarks_all"]
+    )
+    said = f"Landmarks drawn: {drawn}; those far from all the paths are left out. " if drawn else ""
+    flat = scene["reference"] is not None and scene["reference"]["flat"]
+    return said + ("The reference has no height and lies at that of the start." if flat else "")
+
+
+def _turned(table: Table) -> Table:
+    """The table with rows and columns exchanged: a row for each estimator."""
+    header, *rows = zip(table.header, *table.rows, strict=True)
+    return Table(["estimator", *header[1:]], rows)
 
 
 def _rungs(rungs: Sequence[Rung]) -> Table:
@@ -104,17 +131,17 @@ def _metres(value: float | None, form: str) -> str:
 
 
 def _pairs(evaluation: Evaluation) -> Table:
-    rows = [
-        [
-            metric.estimator.replace("|", " and "),
-            metric.key.replace("_", " "),
-            f"{metric.value:.2f}",
-            metric.unit,
-        ]
-        for metric in evaluation.metrics
-        if "|" in metric.estimator
-    ]
-    return Table(["estimators", "measure", "value", "unit"], rows)
+    """A row for each pair of estimators, a column for each measure."""
+    of_pairs = [metric for metric in evaluation.metrics if "|" in metric.estimator]
+    columns = {metric.key: metric.unit for metric in of_pairs}
+    values = {(metric.estimator, metric.key): metric for metric in of_pairs}
+    header = [key.replace("_", " ") + ("" if unit == "1" else f" [{unit}]") for key, unit in columns.items()]
+    rows = []
+    for pair in dict.fromkeys(metric.estimator for metric in of_pairs):
+        found = [values.get((pair, key)) for key in columns]
+        cells = ["-" if m is None else format(m.value, ".0f" if m.unit == "1" else ".2f") for m in found]
+        rows.append([pair.replace("|", " and "), *cells])
+    return Table(["estimators", *header], rows)
 
 
 def _counts(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:
@@ -140,9 +167,18 @@ def _plain(value: object) -> str:
     return " ".join(str(item) for item in value) if isinstance(value, tuple | list) else str(value)
 
 
-def _draw(table: Table) -> Markup:
-    header = "".join(f"<th>{escape(cell)}</th>" for cell in table.header)
+def _draw(table: Table, caption: str, kind: str) -> Markup:
+    """A table in a box of its own that scrolls; the first cell of a row is the row's header."""
+    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in table.rows
     )
-    return Markup(f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>")
+    label = escape(caption)
+    return Markup(
+        f'<div class="wide" tabindex="0" role="group" aria-label="{label}, can be scrolled">'
+        f'<table class="{kind}" aria-label="{label}"><thead><tr>{header}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )

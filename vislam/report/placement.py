@@ -7,7 +7,6 @@ import numpy as np
 from vislam.data.reference import Reference
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
-from vislam.evaluation.trajectory_scores import headline_alignment
 from vislam.geometry import se3
 from vislam.run import Run
 from vislam.types import Array
@@ -41,11 +40,10 @@ def place(run: Run, reference: Reference | None) -> Placed:
     body_T_point = np.eye(4) if reference is None else reference.imu_T_point
     drawn_T_world = np.eye(4)
     if reference is not None:
-        matched = associate(run.frame, run.stamp, run.world_T_imu, reference)
-        if len(matched.frame) >= _FEWEST:
-            found = find_alignment(headline_alignment(reference.planar), matched)
-            shift = found.translation - origin(reference)
-            drawn_T_world = se3.from_rotation_translation(found.rotation, shift)
+        laid = reference_T_world(run, reference, planar=reference.planar)
+        if laid is not None:
+            laid[:3, 3] -= origin(reference)
+            drawn_T_world = laid
     pose = drawn_T_world @ run.world_T_imu @ body_T_point
     # Position errors are v, in the axes of the point: with exp on the right, R v moves the origin.
     turn = pose[:, :3, :3] @ se3.adjoint(se3.inverse(body_T_point))[3:]
@@ -55,6 +53,23 @@ def place(run: Run, reference: Reference | None) -> Placed:
         position_cov=turn @ run.pose_cov @ turn.transpose(0, 2, 1),
         points=se3.transform(drawn_T_world, run.points_world),
     )
+
+
+def reference_T_world(run: Run, reference: Reference, *, planar: bool) -> Array | None:
+    """Motion ``(4, 4)`` that lays a levelled run on the reference; None where too little is in common.
+
+    Parameters
+    ----------
+    run : Run
+    reference : Reference
+    planar : bool
+        Turn about the vertical and move in the plane only.
+    """
+    matched = associate(run.frame, run.stamp, run.world_T_imu, reference)
+    if len(matched.frame) < _FEWEST:
+        return None
+    found = find_alignment("planar" if planar else "se3", matched)
+    return se3.from_rotation_translation(found.rotation, found.translation)
 
 
 def origin(reference: Reference) -> Array:

@@ -16,8 +16,8 @@ from vislam.errors import ConfigError
 from vislam.evaluation.trajectory_scores import headline_alignment
 from vislam.files import replace_whole
 from vislam.record import Record
-from vislam.report.figures import colours
 from vislam.report.placement import origin, place, principal_axes
+from vislam.report.shown import colours
 from vislam.results import Results
 from vislam.run import Run
 from vislam.types import Array, IntArray

@@ -1,0 +1,68 @@
+"""A tiny comparison, run once, and pages written of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vislam.compare import main
+from vislam.evaluation import Evaluation, evaluate
+from vislam.record import Record
+from vislam.report.figures import all_figures
+from vislam.report.page import write_page
+from vislam.report.scene import scene_data
+from vislam.report.shown import Shown
+from vislam.results import Results
+from vislam.run import Run
+
+TINY = Path(__file__).parents[2] / "configs" / "tiny.yaml"
+
+
+@dataclass(frozen=True)
+class Tiny:
+    folder: Path
+    results: Results
+    evaluation: Evaluation
+
+    @property
+    def runs(self) -> dict[str, Run]:
+        return self.results.runs
+
+    @property
+    def record(self) -> Record:
+        return self.results.record
+
+    @property
+    def shown(self) -> Shown:
+        return Shown.of(self.runs, self.record, self.evaluation, ())
+
+    def page(self, path: Path, **changes: Any) -> str:
+        """Write a page of the comparison, changed in some of its parts, and return its text."""
+        shown, record = self.shown, self.record
+        parts: dict[str, Any] = {
+            "title": "tiny",
+            "notes": (),
+            "runs": self.runs,
+            "evaluation": self.evaluation,
+            "rungs": (),
+            "reference": record.reference,
+            "counts": record.counts,
+            "repairs": record.repairs,
+            "frozen": "",
+            "figures": all_figures(shown),
+            "scene": scene_data(shown),
+            "provenance": "code: 1234",
+            "config": "name: tiny",
+        }
+        write_page(path, **(parts | changes))
+        return path.read_text("utf-8")
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory) -> Tiny:
+    out = tmp_path_factory.mktemp("tiny")
+    assert main(["--config", str(TINY), "--out", str(out)]) == 0
+    (folder,) = out.iterdir()
+    results = Results.load(folder)
+    return Tiny(folder, results, evaluate(results.runs, results.record))

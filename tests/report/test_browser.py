@@ -1,0 +1,271 @@
+"""The page in a real browser: it draws, moves and sorts; in the dark, on a phone and on paper as well."""
+
+import io
+import re
+import shutil
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+sync_api = pytest.importorskip("playwright.sync_api")
+
+CHROMIUM = shutil.which("chromium")
+# Root needs --no-sandbox; the rest draws WebGL without a graphics card.
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PLOTLYS_OWN = ("Canvas2D: Multiple readback", "GL Driver Message")
+"""Warnings about the drawing library's use of the browser."""
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
+]
+
+
+@pytest.fixture(scope="module")
+def playwright():
+    with sync_api.sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def browser(playwright):
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    yield browser
+    browser.close()
+
+
+class Opened:
+    """A page, with whatever it said and asked for."""
+
+    def __init__(self, browser, path, **options):
+        self.said, self.asked = [], []
+        self.context = browser.new_context(offline=True, **options)
+        self.page = self.context.new_page()
+        self.page.on("console", lambda message: self.said.append(f"{message.type}: {message.text}"))
+        self.page.on("pageerror", lambda error: self.said.append(f"error: {error}"))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def drawn(self):
+        self.page.locator("#scene-plot").evaluate("(plot) => plot.scrollIntoView()")
+        self.page.wait_for_selector("#scene-plot[data-drawn]", timeout=60_000)
+        return self.page
+
+    def complaints(self):
+        return [line for line in self.said if not any(known in line for known in PLOTLYS_OWN)]
+
+
+@pytest.fixture
+def opened(browser, tiny):
+    """Open the page of the tiny comparison; it must neither complain nor ask for anything else."""
+    pages = []
+
+    def start(path=tiny.folder / "report.html", *, browser=browser, **options):
+        pages.append(Opened(browser, path, **options))
+        return pages[-1]
+
+    yield start
+    for each in pages:
+        each.context.close()
+        assert each.complaints() == []
+        assert each.asked == [(tiny.folder / "report.html").as_uri()]
+
+
+def pixels(page):
+    """Picture of the scene, ``(h, w, 3)``, once it has settled."""
+    page.wait_for_timeout(300)
+    return image.imread(io.BytesIO(page.locator("#scene-plot").screenshot()))[..., :3]
+
+
+def wait_until(page, condition):
+    """Look every 50 ms for at most 10 s; the browser's own waiting is what the page's policy forbids."""
+    for _ in range(200):
+        if condition():
+            return
+        page.wait_for_timeout(50)
+    pytest.fail("nothing happened in 10 s")
+
+
+def move(page, frame):
+    page.locator("#scene-slider").evaluate(
+        "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", str(frame)
+    )
+
+
+def moving_trace(page, which):
+    return page.evaluate("(which) => Array.from(document.getElementById('scene-plot').data[which].x)", which)
+
+
+def test_the_scene_is_drawn_and_the_slider_moves_it(opened):
+    page = opened().drawn()
+    late = pixels(page)
+    background = np.median(late.reshape(-1, 3), axis=0)
+    coloured = (np.ptp(late, axis=2) > 0.2) & (np.abs(late - background).sum(axis=2) > 0.3)
+    assert np.count_nonzero(coloured) > 500
+    names = page.evaluate("document.getElementById('scene-plot').data.map((trace) => trace.name)")
+    label, landmarks = page.inner_text("#scene-time"), moving_trace(page, names.index("map of ekf"))
+    pose = moving_trace(page, names.index("pose of ekf"))
+    move(page, 3)
+    early = pixels(page)
+    assert np.abs(early - late).max() > 0.3
+    assert page.inner_text("#scene-time") != label
+    assert "frame 3 of 29" in page.inner_text("#scene-time")
+    assert 0 < len(moving_trace(page, names.index("map of ekf"))) < len(landmarks)
+    assert moving_trace(page, names.index("pose of ekf")) != pose
+
+
+def test_ellipsoids_grow_by_the_chosen_factor(opened):
+    page = opened().drawn()
+    names = page.evaluate("document.getElementById('scene-plot').data.map((trace) => trace.name)")
+    # Nine values draw the body axes; the ellipses follow.
+    sizes = []
+    for factor in ("1", "100"):
+        page.select_option("#scene-magnify", factor)
+        page.wait_for_timeout(300)
+        ellipse = np.array(moving_trace(page, names.index("pose of ekf"))[9:], float)
+        sizes.append(np.nanmax(ellipse) - np.nanmin(ellipse))
+    assert sizes[1] / sizes[0] == pytest.approx(100.0, rel=1e-3)
+
+
+def test_play_moves_on_by_itself_and_stops_when_told(opened):
+    page = opened().drawn()
+    page.click("#scene-play")
+    wait_until(page, lambda: int(page.input_value("#scene-slider")) > 2)
+    page.click("#scene-play")
+    stopped = page.input_value("#scene-slider")
+    page.wait_for_timeout(400)
+    assert page.input_value("#scene-slider") == stopped
+    assert page.inner_text("#scene-play") == "Play"
+
+
+def test_the_view_from_above_is_another_picture(opened):
+    page = opened().drawn()
+    oblique = pixels(page)
+    page.click("[data-view=above]")
+    assert np.abs(pixels(page) - oblique).max() > 0.3
+
+
+def test_without_webgl_the_page_says_so_and_nothing_fails(playwright, opened):
+    flags = ["--no-sandbox", "--disable-gpu", "--disable-3d-apis"]
+    plain = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    try:
+        start = opened(browser=plain)
+        start.page.wait_for_selector("#scene-missing", state="visible")
+        assert not start.page.is_visible("#scene-body")
+        assert start.complaints() == []
+    finally:
+        plain.close()
+
+
+def rows(page):
+    table = page.locator("table.sortable").first
+    return table.locator("tbody th").all_inner_texts()
+
+
+@pytest.mark.parametrize("press", [lambda button: button.click(), lambda button: button.press("Enter")])
+def test_a_header_sorts_the_rows_and_again_reverses_them(opened, tiny, press):
+    page = opened().page
+    names = list(tiny.runs)
+    assert rows(page) == names
+    header = page.locator("table.sortable").first.locator("th", has_text="peak memory")
+    value = {name: round(tiny.evaluation.value(name, "peak_rss_mb")) for name in names}
+    press(header.locator("button"))
+    upwards = rows(page)
+    assert [value[name] for name in upwards] == sorted(value.values())
+    assert header.get_attribute("aria-sort") == "ascending"
+    press(header.locator("button"))
+    assert [value[name] for name in rows(page)] == sorted(value.values(), reverse=True)
+    assert header.get_attribute("aria-sort") == "descending"
+    by_error = page.locator("table.sortable").first.locator("th", has_text="ATE, SE(3)").locator("button")
+    press(by_error)
+    press(by_error)
+    assert rows(page)[0] == "dead_reckoning"
+    assert page.locator("[aria-sort]").count() == 1
+
+
+def test_a_missing_number_comes_last_either_way(opened, tiny):
+    page = opened().page
+    button = page.locator("table.sortable").first.locator("th", has_text="NIS per").locator("button")
+    for _ in range(2):
+        button.click()
+        cells = page.locator("table.sortable").first.locator("tbody tr").all()
+        missing = ["-" in row.locator("td").all_inner_texts() for row in cells]
+        assert missing == sorted(missing)
+        assert any(missing)
+
+
+def luminance(colour):
+    channels = np.array(re.findall(r"[\d.]+", colour)[:3], float) / 255.0
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one, other):
+    """Contrast ratio of WCAG 2, from 1 to 21."""
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def paper(page):
+    return page.evaluate("getComputedStyle(document.body).backgroundColor")
+
+
+def computed(page, selector, what="color"):
+    return page.locator(selector).first.evaluate("(e, what) => getComputedStyle(e)[what]", what)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_and_series_stand_out_from_the_paper_in_both_themes(opened, scheme):
+    page = opened(color_scheme=scheme).page
+    assert (luminance(paper(page)) < 0.1) is (scheme == "dark")
+    for selector in ("p.verdict", "p.quiet", "nav a", "figcaption", "td"):
+        assert contrast(computed(page, selector), paper(page)) > 4.5
+    assert contrast(computed(page, "figure svg text", "fill"), paper(page)) > 4.5
+    lines = page.locator("figure svg path[style*='var(--c']").evaluate_all(
+        "(paths) => [...new Set(paths.map((path) => getComputedStyle(path).stroke))]"
+    )
+    lines = [colour for colour in lines if colour != "none"]
+    assert len(lines) >= 3
+    assert all(contrast(colour, paper(page)) > 2.5 for colour in lines)
+
+
+def test_the_theme_is_turned_over_from_the_keyboard_and_the_scene_follows(opened):
+    page = opened(color_scheme="light").drawn()
+    before, scene = paper(page), pixels(page)
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.get_attribute("#theme", "aria-pressed") == "true"
+    assert luminance(paper(page)) < 0.1 < luminance(before)
+    ink = page.evaluate("document.getElementById('scene-plot').layout.font.color")
+    assert contrast(ink, paper(page)) > 4.5
+    assert np.median(pixels(page)) < 0.2 < np.median(scene)
+    page.keyboard.press("Space")
+    assert paper(page) == before
+
+
+def test_a_phone_has_no_sideways_scrolling_but_in_tables_and_figures(opened):
+    page = opened(viewport={"width": 390, "height": 844}).drawn()
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    first = page.locator("table.sortable").first.locator("tbody th").first
+    box = first.bounding_box()
+    page.locator(".wide").first.evaluate("(box) => { box.scrollLeft = 200; }")
+    assert page.locator(".wide").first.evaluate("(box) => box.scrollLeft") == 200
+    assert first.bounding_box()["x"] == pytest.approx(box["x"], abs=1.0)
+
+
+def test_paper_has_no_controls_and_shows_what_was_closed(opened):
+    page = opened(color_scheme="dark").drawn()
+    page.emulate_media(media="print")
+    page.wait_for_timeout(200)
+    assert luminance(paper(page)) == 1.0
+    assert computed(page, "p.verdict") == "rgb(0, 0, 0)"
+    for selector in ("#theme", "nav", "#scene-slider", "#scene-plot"):
+        assert not page.is_visible(selector)
+    assert page.is_visible(".print-only")
+    assert page.locator("details:not([open])").count() == 0
+    assert page.pdf(format="A4").startswith(b"%PDF")
+    page.emulate_media(media="screen")
+    wait_until(page, lambda: page.locator("details[open]").count() == 0)

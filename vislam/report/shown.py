@@ -1,0 +1,90 @@
+"""What the figures and the scene are drawn from."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.data.reference import Reference
+from vislam.evaluation import Evaluation
+from vislam.evaluation.attribution import Rung
+from vislam.evaluation.scores import RunScores
+from vislam.record import Record
+from vislam.report.placement import reference_T_world
+from vislam.run import Run
+from vislam.types import Array, IntArray
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
+COLOURS = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"),
+    *("#332288", "#999933", "#882255"),
+)
+
+
+def colours(names: Iterable[str]) -> dict[str, str]:
+    """One colour for each run, the same wherever it is drawn."""
+    return {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(names)}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Results of a comparison, ready to be drawn.
+
+    Attributes
+    ----------
+    runs : mapping of name to Run
+        Levelled, and with at least three frames each.
+    record : Record
+        Of the drive.
+    evaluation : Evaluation
+    rungs : sequence of Rung
+    """
+
+    runs: Mapping[str, Run]
+    record: Record
+    evaluation: Evaluation
+    rungs: Sequence[Rung]
+
+    @classmethod
+    def of(
+        cls, runs: Mapping[str, Run], record: Record, evaluation: Evaluation, rungs: Sequence[Rung]
+    ) -> "Shown":
+        """Take the runs that are long enough, levelled."""
+        long_enough = {name: run.levelled() for name, run in runs.items() if len(run.stamp) > 2}
+        return cls(long_enough, record, evaluation, rungs)
+
+    @property
+    def reference(self) -> Reference | None:
+        """What the runs are scored against."""
+        return self.record.reference
+
+    @property
+    def scores(self) -> dict[str, RunScores]:
+        """Scores of the runs that are shown."""
+        return {name: self.evaluation.scores[name] for name in self.runs}
+
+    def colour(self, name: str) -> str:
+        """Colour of a run, the same in every figure."""
+        return colours(self.runs)[name]
+
+    def time(self, run: Run) -> Array:
+        """Time since the start of the recording at each frame of a run, ``(T,)`` [s]."""
+        return run.stamp - self.record.stamp[0]
+
+    def drawn_T_world(self, run: Run, *, planar: bool) -> Array:
+        """Motion ``(4, 4)`` that lays a run on the reference; the identity where that cannot be told."""
+        laid = None
+        if self.reference is not None:
+            laid = reference_T_world(run, self.reference, planar=planar)
+        return np.eye(4) if laid is None else laid
+
+    def positions(self, world_T_imu: Array) -> Array:
+        """Positions ``(T, 3)`` [m] of the point that the reference is about."""
+        point = np.eye(4) if self.reference is None else self.reference.imu_T_point
+        return (world_T_imu @ point)[:, :3, 3]
+
+    def first_seen(self, run: Run) -> IntArray:
+        """Frame in which each landmark of a run was seen first, ``(m,)``."""
+        given = self.record.given
+        track, row = np.unique(given.track, return_index=True)
+        return np.asarray(given.frame[row][np.searchsorted(track, run.track)])
