@@ -71,7 +71,7 @@ def _moving(shown: Shown, run: Run, pose: Array) -> dict[str, str]:
 
 
 def three_sigma_axes(cov: Array) -> Array:
-    """Semi-axes, in columns, of the three-sigma ellipsoids of covariances ``(T, 3, 3)``; NaN where not given."""
+    """Semi-axes, in columns, of the three-sigma ellipsoids of ``(T, 3, 3)``; NaN where not given."""
     axes = np.full(cov.shape, np.nan)
     given = np.isfinite(cov).all(axis=(1, 2))
     values, vectors = np.linalg.eigh(cov[given])

@@ -60,7 +60,9 @@ class Shown:
 
     def matched(self, run: Run) -> bool:
         """Whether the reference covers enough frames of a run for an alignment."""
-        return self.reference is not None and np.count_nonzero(self.reference.frame < len(run.stamp)) > 2
+        if self.reference is None:
+            return False
+        return int(np.count_nonzero(self.reference.frame < len(run.stamp))) > 2
 
     def drawn_T_world(self, run: Run, *, planar: bool) -> Array:
         """Motion ``(4, 4)`` that lays a run on the reference; the identity where that cannot be told.

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-_SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "vislam", "path.simplify_threshold": 0.3}
 _IMAGE_DPI = 150
 """Resolution of what is rasterised inside [px/inch]."""
+_SIMPLIFY = 0.3
+"""How far a simplified path may lie off [1/72 inch]."""
 _PAGE_COLOURS = {"#000000": "currentColor", "#ffffff": "var(--paper)", "#cccccc": "var(--band)"}
 _METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
@@ -29,7 +30,10 @@ def themed_svg(figure: Figure, prefix: str, *, colours: Sequence[str]) -> str:
         ``#rrggbb`` of the series.
     """
     buffer = io.StringIO()
-    with mpl.rc_context(_SETTINGS):
+    # Text stays text, ids do not depend on chance, and of a path only what can be seen is kept.
+    with mpl.rc_context(
+        {"svg.fonttype": "none", "svg.hashsalt": "vislam", "path.simplify_threshold": _SIMPLIFY}
+    ):
         figure.savefig(buffer, format="svg", dpi=_IMAGE_DPI, transparent=True, metadata=_METADATA)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]

@@ -46,7 +46,8 @@ def top_view(shown: Shown) -> Figure:
     if coloured is not None:
         bar = figure.colorbar(coloured, ax=panels, location="bottom", shrink=0.6, aspect=40, pad=0.01)
         bar.set_label("uncertainty of a landmark: largest standard deviation [m]", fontsize=8)
-        bar.solids.set(alpha=1.0, rasterized=True)
+        # As an image, like the landmarks, so that the page can treat both alike.
+        bar.ax.collections[-1].set_rasterized(True)
     first.legend(loc="best", fontsize=7)
     return figure
 
@@ -92,9 +93,8 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
         if name in sigma:
             # The least certain first, so that they do not hide the others.
             order = np.argsort(-sigma[name])
-            coloured = axes.scatter(
-                *points[order].T, s=1.5, lw=0, c=sigma[name][order], cmap=_COLOUR_MAP, norm=norm
-            )
+            x, y = points[order].T
+            coloured = axes.scatter(x, y, s=1.5, lw=0, c=sigma[name][order], cmap=_COLOUR_MAP, norm=norm)
             coloured.set_rasterized(True)
         else:
             axes.plot(*points.T, ".", ms=1.2, color="0.5", rasterized=True)
