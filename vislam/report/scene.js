@@ -128,13 +128,12 @@
     title: { text: title }, range: [data.low[index], data.high[index]], color: ink, gridcolor: line,
     zerolinecolor: line, showbackground: false, showspikes: false, nticks: index === 2 ? 3 : 7,
   });
-  const camera = (projection, [x, y, z], [upX, upY, upZ]) => ({
-    projection: { type: projection }, eye: { x, y, z }, up: { x: upX, y: upY, z: upZ },
-  });
+  // Always in perspective: the drawing library loses the traces where a button changes the projection.
+  const camera = ([x, y, z], [upX, upY, upZ]) => ({ eye: { x, y, z }, up: { x: upX, y: upY, z: upZ } });
   const views = {
-    oblique: camera("perspective", [-1.1, -1.5, 1.3], [0, 0, 1]),
-    above: camera("orthographic", [0, -0.001, 2.1], [0, 1, 0]),
-    side: camera("orthographic", [0, -2.2, 0.001], [0, 0, 1]),
+    oblique: camera([-1.1, -1.5, 1.3], [0, 0, 1]),
+    above: camera([0, -0.001, 2.1], [0, 1, 0]),
+    side: camera([0, -2.2, 0.001], [0, 0, 1]),
   };
   const layout = () => {
     const [ink, line] = [colour("--ink"), colour("--line")];
