@@ -130,10 +130,12 @@
     title: { text: title }, range: [data.low[index], data.high[index]], color: ink, gridcolor: line,
     zerolinecolor: line, showbackground: false, showspikes: false, nticks: index === 2 ? 3 : 7,
   });
+  // Always in perspective: the drawing library loses the traces where a button changes the projection.
+  const camera = ([x, y, z], [upX, upY, upZ]) => ({ eye: { x, y, z }, up: { x: upX, y: upY, z: upZ } });
   const views = {
-    oblique: { eye: { x: -1.1, y: -1.5, z: 1.3 }, up: { x: 0, y: 0, z: 1 } },
-    above: { eye: { x: 0, y: -0.001, z: 2.1 }, up: { x: 0, y: 1, z: 0 } },
-    side: { eye: { x: 0, y: -2.2, z: 0.15 }, up: { x: 0, y: 0, z: 1 } },
+    oblique: camera([-1.1, -1.5, 1.3], [0, 0, 1]),
+    above: camera([0, -0.001, 2.1], [0, 1, 0]),
+    side: camera([0, -2.2, 0.001], [0, 0, 1]),
   };
   const layout = () => {
     const [ink, line] = [colour("--ink"), colour("--line")];
@@ -142,7 +144,7 @@
     return {
       margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept", paper_bgcolor: "rgba(0,0,0,0)",
       font: { color: ink, size: 12, family: getComputedStyle(document.body).fontFamily },
-      legend: { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)", itemsizing: "constant" },
+      legend: { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)", itemsizing: "constant", tracegroupgap: 0 },
       scene: { xaxis: x, yaxis: y, zaxis: z, aspectmode: "data", camera: views.oblique, uirevision: "kept" },
     };
   };

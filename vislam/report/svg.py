@@ -11,6 +11,8 @@ _SIMPLIFIED = 0.3
 """How far a simplified path may be from the true one [px]."""
 _IMAGE_DPI = 150
 """Resolution of what is rasterised inside [px/inch]."""
+_SIMPLIFY = 0.3
+"""How far a simplified path may lie off [1/72 inch]."""
 _PAGE_COLOURS = {"#000000": "currentColor", "#ffffff": "var(--paper)", "#cccccc": "var(--band)"}
 _METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
