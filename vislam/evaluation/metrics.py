@@ -181,8 +181,10 @@ def _fit(scores: RunScores) -> Iterator[tuple[str, float, str]]:
 def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Metric]:
     """Metrics of two runs against each other."""
     pair = f"{one.run.name}|{other.run.name}"
-    for key, value, unit in (*_apart(one.run, other.run), *_agreement(scores)):
+    for key, value, unit in _apart(one.run, other.run):
         yield Metric(pair, key, value, unit)
+    for key, value, convention in _agreement(scores):
+        yield Metric(pair, key, value, "1", convention=convention)
 
 
 def _apart(one: Run, other: Run) -> Iterator[tuple[str, float, str]]:
@@ -205,23 +207,25 @@ def _apart(one: Run, other: Run) -> Iterator[tuple[str, float, str]]:
 def _agreement(scores: PairScores) -> Iterator[tuple[str, float, str]]:
     """How far apart in what they claim themselves, and which predicts the held-out tracks better."""
     if scores.agreement is not None:
-        found = scores.agreement
-        yield "distance_per_freedom", found.per_freedom, "1"
-        yield "poses_beyond_95", found.share_beyond(), "1"
-        parting, certainty = found.parting(), found.certainty()
-        if parting is not None:
-            yield "parting_frame", float(parting), "1"
-        yield "variance_ratio", certainty.overall, "1"
-        yield f"variance_ratio_smallest_{certainty.smallest_along}", certainty.smallest, "1"
-        yield f"variance_ratio_largest_{certainty.largest_along}", certainty.largest, "1"
+        found, by = scores.agreement, "worlds joined at the first pose, by the sum of the two covariances"
+        yield "distance_per_freedom", found.per_freedom, by
+        yield "poses_beyond_95", found.share_beyond(), by
+        frame, certainty = found.parting(), found.certainty()
+        if frame is not None:
+            yield "parting_frame", float(frame), f"{by}; beyond the 99 % bound of all frames together"
+        told = "variance that the first claims over that of the second, median over the frames"
+        yield "variance_ratio", certainty.overall, f"{told}; geometric mean of all directions"
+        yield "variance_ratio_smallest", certainty.smallest, f"{told}; mostly in {certainty.smallest_along}"
+        yield "variance_ratio_largest", certainty.largest, f"{told}; mostly in {certainty.largest_along}"
     if scores.map is not None and np.isfinite(scores.map.squared).any():
         known = scores.map.squared[np.isfinite(scores.map.squared)]
-        yield "landmark_distance_per_freedom", float(known.mean()) / 3.0, "1"
+        yield "landmark_distance_per_freedom", float(known.mean()) / 3.0, "worlds joined at the first pose"
     if scores.held_out is not None:
-        yield "held_out_better", scores.held_out.better, "1"
-        yield "held_out_better_low", scores.held_out.low, "1"
-        yield "held_out_better_high", scores.held_out.high, "1"
-        yield "held_out_p", scores.held_out.p_value, "1"
+        told = "share of the held-out tracks that the first predicts better"
+        yield "held_out_better", scores.held_out.better, told
+        yield "held_out_better_low", scores.held_out.low, f"{told}, 95 % interval"
+        yield "held_out_better_high", scores.held_out.high, f"{told}, 95 % interval"
+        yield "held_out_p", scores.held_out.p_value, f"{told}: chance of as much if neither were better"
 
 
 def _rms(vectors: Array) -> float:

@@ -26,7 +26,8 @@ _LOWEST = 1e-3
 def main_claims(shown: Shown) -> dict[str, Normalised]:
     """The errors beside claims that stand for each run's consistency, for those that have any."""
     found = {}
-    for name, one in shown.scores.items():
+    for name in shown.seeing():
+        one = shown.scores[name]
         claim = next((one.claims[key] for key in _MAIN if key in one.claims), None)
         if claim is not None:
             found[name] = claim
@@ -70,9 +71,7 @@ def bands(shown: Shown) -> Figure | None:
             error, limit = scale * claim.error[:, index], _SIGMAS * scale * claim.sigma[:, index]
             axes.plot(claim.index, error, lw=0.9, color=shown.colour(name), label=name)
             axes.fill_between(claim.index, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
-            # Who has not seen the camera would flatten the others.
-            if len(shown.runs[name].track) or len(claims) == 1:
-                reach = max(reach, 1.5 * float(np.abs(error).max()))
+            reach = max(reach, 1.5 * float(np.abs(error).max()))
         axes.set_ylabel(f"{component} [{unit}]")
         if reach > 0.0:
             axes.set_ylim(-reach, reach)
@@ -86,7 +85,7 @@ def coverage(shown: Shown) -> Figure | None:
     claims = main_claims(shown)
     if not claims:
         return None
-    figure = Figure(figsize=(5.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(7.2, 4.4), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="as claimed")
     for name, claim in claims.items():
@@ -117,7 +116,7 @@ def whiteness(shown: Shown) -> Figure | None:
 
 def distances(shown: Shown) -> Figure | None:
     """Squared Mahalanobis distance of each pair's poses, per degree of freedom, with where they part."""
-    pairs = {pair: one.agreement for pair, one in shown.evaluation.pairs.items() if one.agreement is not None}
+    pairs = shown.agreements()
     if not pairs:
         return None
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
@@ -137,16 +136,12 @@ def distances(shown: Shown) -> Figure | None:
 
 def parting(shown: Shown) -> Figure | None:
     """Paths and 3-sigma ellipses of the runs about where they part, a panel a pair; None if none do."""
-    parted = {
-        pair: frame
-        for pair, one in shown.evaluation.pairs.items()
-        if one.agreement is not None and (frame := one.agreement.parting()) is not None
-    }
+    parted = {pair: frame for pair, one in shown.agreements().items() if (frame := one.parting()) is not None}
     if not parted:
         return None
-    columns = min(len(parted), 3)
+    columns = min(len(parted), 2)
     lines = -(-len(parted) // columns)
-    figure = Figure(figsize=(7.2, 7.2 / columns * lines), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.4 * lines), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, (pair, frame) in zip(panels, parted.items(), strict=False):
         for name in pair:

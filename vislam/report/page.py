@@ -16,6 +16,14 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.files import replace_whole
 from vislam.report.figures import Drawing
+from vislam.report.page_tables import (
+    counts_table,
+    maps_table,
+    pairs_table,
+    repairs_table,
+    rungs_table,
+    worst_table,
+)
 from vislam.report.shown import COLOURS
 from vislam.report.svg import themed_svg
 from vislam.report.table import Table, comparison_table
@@ -60,13 +68,15 @@ def write_page(
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
         table=_turned(comparison_table(runs, evaluation)),
-        rungs=_rungs(rungs),
-        pairs=_pairs(evaluation),
+        rungs=rungs_table(rungs),
+        pairs=pairs_table(evaluation),
+        maps=maps_table(evaluation),
+        worst=worst_table(evaluation),
         figures=[(name, drawing, _inline(name, drawing)) for name, drawing in figures.items()],
         scene=htmlsafe_json_dumps(scene) if scene else "",
         scene_note=_scene_note(scene) if scene else "",
-        counts=_counts(counts, repairs, runs),
-        repairs=_repairs(repairs),
+        counts=counts_table(counts, repairs, runs),
+        repairs=repairs_table(repairs),
         frozen=frozen,
         events={name: run.events for name, run in runs.items() if run.events},
         provenance=provenance,
@@ -108,63 +118,6 @@ def _turned(table: Table) -> Table:
     """The table with rows and columns exchanged: a row for each estimator."""
     header, *rows = zip(table.header, *table.rows, strict=True)
     return Table(["estimator", *header[1:]], rows)
-
-
-def _rungs(rungs: Sequence[Rung]) -> Table:
-    header = ["rung", "adds", "ATE [m]", "change [m]", "as known at each time [m]", "the same less ATE [m]"]
-    rows = [
-        [
-            rung.run,
-            rung.adds,
-            _metres(rung.error, ".2f"),
-            _metres(rung.change, "+.2f"),
-            _metres(rung.causal, ".2f"),
-            _metres(rung.causal_less_final, "+.2f"),
-        ]
-        for rung in rungs
-    ]
-    return Table(header, rows)
-
-
-def _metres(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _pairs(evaluation: Evaluation) -> Table:
-    """A row for each pair of estimators, a column for each measure."""
-    of_pairs = [metric for metric in evaluation.metrics if "|" in metric.estimator]
-    columns = {metric.key: metric.unit for metric in of_pairs}
-    values = {(metric.estimator, metric.key): metric for metric in of_pairs}
-    header = [key.replace("_", " ") + ("" if unit == "1" else f" [{unit}]") for key, unit in columns.items()]
-    rows = []
-    for pair in dict.fromkeys(metric.estimator for metric in of_pairs):
-        found = [values.get((pair, key)) for key in columns]
-        cells = ["-" if m is None else format(m.value, ".0f" if m.unit == "1" else ".2f") for m in found]
-        rows.append([pair.replace("|", " and "), *cells])
-    return Table(["estimators", *header], rows)
-
-
-def _counts(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:
-    elsewhere = {key for step in repairs for key in step.counts}
-    rows = [["data", key.replace("_", " "), str(counts[key])] for key in counts if key not in elsewhere]
-    for name, run in runs.items():
-        own = {"observations gated": int(run.gated.sum()), **run.counts}
-        rows += [[name, key.replace("_", " "), str(value)] for key, value in own.items()]
-    return Table(["where", "what", "count"], rows)
-
-
-def _repairs(repairs: Sequence[Repair]) -> Table:
-    """What became of each step; one that is switched off is listed too."""
-    rows = []
-    for step in repairs:
-        options = ", ".join(f"{key.replace('_', ' ')} {_plain(value)}" for key, value in step.options.items())
-        done = ", ".join(f"{value} {key.replace('_', ' ')}" for key, value in step.counts.items())
-        rows.append([step.name.replace("_", " "), (options or "on") if step.applied else "off", done])
-    return Table(["repair", "setting", "counted"], rows)
-
-
-def _plain(value: object) -> str:
-    return " ".join(str(item) for item in value) if isinstance(value, tuple | list) else str(value)
 
 
 def _draw(table: Table, caption: str, kind: str) -> Markup:

@@ -7,6 +7,7 @@ import numpy as np
 
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
+from vislam.evaluation.agreement import Agreement
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.scores import RunScores
 from vislam.record import Record
@@ -62,6 +63,19 @@ class Shown:
     def scores(self) -> dict[str, RunScores]:
         """Scores of the runs that are shown."""
         return {name: self.evaluation.scores[name] for name in self.runs}
+
+    def seeing(self) -> list[str]:
+        """Runs that have seen the camera, or all, if none has: the others would flatten them in a figure."""
+        return [name for name, run in self.runs.items() if len(run.track)] or list(self.runs)
+
+    def agreements(self) -> dict[tuple[str, str], Agreement]:
+        """Agreement of each two of these runs, of which both claim something."""
+        seeing = set(self.seeing())
+        return {
+            pair: scores.agreement
+            for pair, scores in self.evaluation.pairs.items()
+            if scores.agreement is not None and seeing >= set(pair)
+        }
 
     def colour(self, name: str) -> str:
         """Colour of a run, the same in every figure."""

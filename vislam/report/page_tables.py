@@ -1,0 +1,116 @@
+"""The tables of the page that the terminal does not show."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from vislam.data import Repair
+from vislam.evaluation import Evaluation
+from vislam.evaluation.attribution import Rung
+from vislam.evaluation.trajectory_scores import WORST_LENGTH
+from vislam.report.table import Table
+from vislam.run import Run
+
+
+def rungs_table(rungs: Sequence[Rung]) -> Table:
+    """A row for each rung of the ladder, against the one before."""
+    header = ["rung", "adds", "ATE [m]", "change [m]", "as known at each time [m]", "the same less ATE [m]"]
+    rows = [
+        [
+            rung.run,
+            rung.adds,
+            _metres(rung.error, ".2f"),
+            _metres(rung.change, "+.2f"),
+            _metres(rung.causal, ".2f"),
+            _metres(rung.causal_less_final, "+.2f"),
+        ]
+        for rung in rungs
+    ]
+    return Table(header, rows)
+
+
+def _metres(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def pairs_table(evaluation: Evaluation) -> Table:
+    """A row for each two runs: how far they are apart, who claims more, who predicts better."""
+    header = ["estimators", "apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
+    header += [
+        "squared distance per degree of freedom",
+        "poses beyond 95 %",
+        "contradict each other from frame",
+    ]
+    header += ["variance of the first over the second", "least in", "most in"]
+    header += ["first predicts held-out tracks better [%]", "p"]
+    rows = []
+    for (one, other), scores in evaluation.pairs.items():
+        found = scores.agreement
+        told = ["-"] * 6
+        if found is not None:
+            certainty, frame = found.certainty(), found.parting()
+            told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
+            told += ["never" if frame is None else str(frame), f"{certainty.overall:.3g}"]
+            told += [certainty.smallest_along, certainty.largest_along]
+        keys = ("trajectory_distance_rmse", "trajectory_distance_aligned_rmse", "map_distance_median")
+        values = [evaluation.value(f"{one}|{other}", key) for key in keys]
+        held = scores.held_out
+        better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
+        rows.append([f"{one} and {other}", *(_metres(value, ".2f") for value in values), *told, *better])
+    return Table(header, rows)
+
+
+def maps_table(evaluation: Evaluation) -> Table:
+    """Landmark by landmark between two runs, by depth and by number of views."""
+    header = ["estimators", "by", "from", "to", "landmarks", "median distance [m]"]
+    header += ["median Mahalanobis distance", "beyond 95 %"]
+    rows = []
+    for (one, other), scores in evaluation.pairs.items():
+        for by, bins in (("depth [m]", scores.by_depth()), ("views", scores.by_views())):
+            for row in bins:
+                if row.count:
+                    ends = [f"{row.low:g}", "" if np.isinf(row.high) else f"{row.high:g}"]
+                    told = [_number(row.distance, ".2f"), _number(row.mahalanobis, ".2f")]
+                    share = _number(100.0 * row.beyond, ".0f")
+                    rows.append([f"{one} and {other}", by, *ends, str(row.count), *told, share])
+    return Table(header, rows)
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "-"
+
+
+def worst_table(evaluation: Evaluation) -> Table:
+    """Where each run errs most."""
+    rows = [
+        [name, str(segment.first), str(segment.last), f"{segment.start:.0f}", f"{segment.error:.2f}"]
+        for name, one in evaluation.scores.items()
+        if one.final is not None
+        for segment in one.final.worst
+    ]
+    header = ["estimator", "from frame", "to frame", "begins at [m]", f"error over {WORST_LENGTH:g} m [m]"]
+    return Table(header, rows)
+
+
+def counts_table(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:
+    """What was read, dropped, held out, gated and rescued."""
+    elsewhere = {key for step in repairs for key in step.counts}
+    rows = [["data", key.replace("_", " "), str(counts[key])] for key in counts if key not in elsewhere]
+    for name, run in runs.items():
+        own = {"observations gated": int(run.gated.sum()), **run.counts}
+        rows += [[name, key.replace("_", " "), str(value)] for key, value in own.items()]
+    return Table(["where", "what", "count"], rows)
+
+
+def repairs_table(repairs: Sequence[Repair]) -> Table:
+    """What became of each step; one that is switched off is listed too."""
+    rows = []
+    for step in repairs:
+        options = ", ".join(f"{key.replace('_', ' ')} {_plain(value)}" for key, value in step.options.items())
+        done = ", ".join(f"{value} {key.replace('_', ' ')}" for key, value in step.counts.items())
+        rows.append([step.name.replace("_", " "), (options or "on") if step.applied else "off", done])
+    return Table(["repair", "setting", "counted"], rows)
+
+
+def _plain(value: object) -> str:
+    return " ".join(str(item) for item in value) if isinstance(value, tuple | list) else str(value)
