@@ -1,0 +1,154 @@
+"""What is known of a run and of two, and the metrics that sum it up, on runs of a short simulated drive."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vislam.comparison import compare
+from vislam.config import Config
+from vislam.data.reference import Reference
+from vislam.evaluation import evaluate
+from vislam.results import Results, metrics_document
+from vislam.terminal import Terminal
+
+
+@pytest.fixture(scope="module")
+def results(short_config: Config, tmp_path_factory) -> Results:
+    sections = {"dead_reckoning": {}, "eks": {"observability": True}, "isam2": {"marginals": "all"}}
+    config = replace(short_config, seed=3, estimators=sections)
+    terminal, out = Terminal(), tmp_path_factory.mktemp("scores")
+    return compare(config, out=out, data_dir=None, allow_stand_in=True, terminal=terminal).results
+
+
+@pytest.fixture(scope="module")
+def evaluation(results):
+    return evaluate(results.runs, results.record)
+
+
+def with_reference(results, reference):
+    return evaluate(results.runs, replace(results.record, reference=reference))
+
+
+def keys(evaluation, name):
+    return {metric.key for metric in evaluation.metrics if metric.estimator == name}
+
+
+def test_every_metric_stands_once_and_is_a_number(results, evaluation):
+    assert max(Counter((m.estimator, m.key) for m in evaluation.metrics).values()) == 1
+    assert all(metric.unit for metric in evaluation.metrics)
+    # Nothing in the document is beyond JSON, which knows no NaN.
+    json.dumps(metrics_document(results, evaluation, (), ()), allow_nan=False)
+
+
+def test_metrics_are_those_of_the_scores(results, evaluation):
+    for name, run in results.runs.items():
+        scores = evaluation.scores[name]
+        absolute = scores.final.absolute["se3"]
+        assert evaluation.value(name, "ate_rmse") == absolute.position.rmse
+        assert evaluation.value(name, "ate_rmse") <= evaluation.value(name, "ate_yaw_position_rmse")
+        assert evaluation.value(name, "ate_sim3_rmse") <= evaluation.value(name, "ate_rmse")
+        assert evaluation.value(name, "held_out_median") == scores.held_out.median
+        assert evaluation.value(name, "frames") == len(run.stamp)
+    assert (
+        evaluation.value("isam2", "fit_per_dof")
+        == results.runs["isam2"].fit[0] / results.runs["isam2"].fit[1]
+    )
+    assert evaluation.value("eks", "nees_pose") == evaluation.statistic("eks", "nees_pose").value
+
+
+def test_who_claims_nothing_is_asked_nothing(evaluation):
+    alone = keys(evaluation, "dead_reckoning")
+    assert not any(key.startswith(("map_", "nis_", "nees_landmark", "fit_")) for key in alone)
+    assert "fit_per_dof" not in keys(evaluation, "eks")
+    assert "nis_per_dof" not in keys(evaluation, "isam2")
+    assert "yaw_information_gained" in keys(evaluation, "eks")
+    assert "yaw_information_gained" not in keys(evaluation, "isam2")
+
+
+def test_a_consistent_filter_gains_nothing_of_where_the_world_is(evaluation):
+    assert evaluation.value("eks", "yaw_information_gained") < 1e-3
+
+
+def test_every_claim_has_its_coverage_and_says_its_convention(evaluation):
+    for name in ("eks", "isam2"):
+        for part in ("pose", "rotation", "position", "landmark"):
+            shares = [evaluation.value(name, f"coverage_{part}_{k}sigma") for k in (1, 2, 3)]
+            assert shares == sorted(shares)
+            assert 0.0 <= shares[0] <= shares[2] <= 1.0
+        (metric,) = [m for m in evaluation.metrics if (m.estimator, m.key) == (name, "nees_pose")]
+        assert "right perturbation" in metric.convention
+        assert metric.against == "truth"
+
+
+def test_landmarks_have_the_depth_and_the_views_that_their_tracks_have(results, evaluation):
+    pair, given = evaluation.pairs["eks", "isam2"], results.record.given
+    run = evaluation.scores["eks"].run
+    for index in range(0, len(pair.map.track), 7):
+        track = pair.map.track[index]
+        rows = np.flatnonzero(given.track == track)
+        assert pair.views[index] == len(rows)
+        point = run.points_world[run.track == track][0]
+        start = run.world_T_imu[given.frame[rows[0]], :3, 3]
+        assert pair.depth[index] == pytest.approx(np.linalg.norm(point - start))
+    assert sum(row.count for row in pair.by_depth()) == len(pair.map.track)
+    assert sum(row.count for row in pair.by_views()) == len(pair.map.track)
+
+
+def test_nobody_was_given_the_held_out_tracks(results):
+    record = results.record
+    assert len(record.held_out.track)
+    assert not np.isin(record.given.track, record.held_out.track).any()
+    for run in results.runs.values():
+        assert not np.isin(run.track, record.held_out.track).any()
+    assert record.counts["held_out_tracks"] == len(np.unique(record.held_out.track))
+
+
+def planar(reference, **values):
+    return Reference(
+        name="poles",
+        limits="planar",
+        frame=reference.frame[::2],
+        position=reference.position[::2, :2],
+        pose=None,
+        imu_T_point=np.eye(4),
+        **values,
+    )
+
+
+def test_a_planar_reference_allows_what_a_plane_allows(results):
+    found = with_reference(results, planar(results.record.reference, sigma=0.02))
+    names = keys(found, "isam2")
+    assert {"ate_planar_rmse", "displacement_5m_rmse", "nees_position_planar", "ate_none_rmse"} <= names
+    assert not any(
+        key.startswith(("rpe_", "kitti_", "nees_pose", "ate_rotation", "map_error")) for key in names
+    )
+    assert "ate_rmse" not in names
+    assert found.value("isam2", "frames_without_reference") == 12
+
+
+def test_without_a_reference_there_is_still_much_to_say(results, evaluation):
+    found = with_reference(results, None)
+    assert not any(metric.against for metric in found.metrics)
+    assert found.value("isam2", "held_out_median") == evaluation.value("isam2", "held_out_median")
+    key = "distance_per_freedom"
+    assert found.value("eks|isam2", key) == evaluation.value("eks|isam2", key)
+
+
+def test_a_run_with_gaps_is_compared_on_the_frames_that_it_has(results, evaluation):
+    whole, rows = results.runs["isam2"], np.arange(0, 25, 3)
+    per_frame = ("frame", "stamp", "world_T_imu", "world_T_imu_causal", "pose_cov", "pose_cov_causal")
+    per_frame += ("bias", "bias_sigma", "nis", "dof", "log_likelihood", "world_gained")
+    some = replace(whole, name="some", **{key: getattr(whole, key)[rows] for key in per_frame})
+    found = evaluate({**results.runs, "some": some}, results.record)
+    claims, all_claims = found.scores["some"].claims, evaluation.scores["isam2"].claims
+    shared = np.isin(all_claims["nees_pose"].index, claims["nees_pose"].index)
+    assert np.array_equal(claims["nees_pose"].index, rows[1:])
+    assert np.allclose(claims["nees_pose"].nees, all_claims["nees_pose"].nees[shared])
+    apart = found.pairs["isam2", "some"].agreement
+    assert np.array_equal(apart.frame, rows[1:])
+    assert np.allclose(apart.squared, 0.0, atol=1e-9)
+    # Tracks with a view in a frame that it lacks count as lost.
+    assert found.value("some", "tracks_held_out_capped") > 0
