@@ -24,10 +24,11 @@ def top_view(shown: Shown) -> Figure:
     """All the paths in one panel; then a panel a map, its landmarks coloured by their uncertainty."""
     mapped = {name: run for name, run in shown.runs.items() if len(run.track)}
     low, high = _limits(shown)
-    columns = 2 if mapped else 1
-    rows = -(-(1 + len(mapped)) // columns)
+    wanted = 1 + len(mapped)
+    columns = wanted if wanted <= 3 else 2 if wanted == 4 else 3
+    rows = -(-wanted // columns)
     tall = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.25))
-    size = (_WIDTH, 0.9 + rows * (0.25 + tall * (_WIDTH - 0.9) / columns))
+    size = (_WIDTH, 1.2 + rows * (0.25 + tall * (_WIDTH - 0.9) / columns))
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     first, *others = panels.flat
