@@ -13,9 +13,9 @@ FORBIDDEN = {
     "simulation": ("ekf", "smoother", "evaluation", "report", "comparison"),
     "ekf": ("smoother", "evaluation", "report", "comparison"),
     "smoother": ("ekf", "evaluation", "report", "comparison"),
-    "evaluation": ("ekf", "smoother", "estimator", "report", "comparison"),
-    "checks": ("ekf", "smoother", "estimator", "report", "comparison"),
-    "report": ("ekf", "smoother", "estimator", "comparison"),
+    "evaluation": ("ekf", "smoother", "estimator", "checks", "report", "results", "comparison"),
+    "checks": ("ekf", "smoother", "estimator", "report", "results", "comparison"),
+    "report": ("ekf", "smoother", "estimator", "results", "comparison"),
 }
 
 

@@ -196,7 +196,7 @@ def conclude(results: Results, published: Published, *, junit: Path | None, reru
         # It imports an optional package.
         from vislam.report.recording import write_recording  # noqa: PLC0415
 
-        write_recording(rerun, results)
+        write_recording(rerun, results.runs, results.record, title=results.title)
     if not all(run.complete for run in results.runs.values()):
         return 1
     return 0 if all(verdict.holds for verdict in published.verdicts) else 3

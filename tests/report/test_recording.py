@@ -16,12 +16,12 @@ from vislam.data.reference import Reference, truth_reference
 from vislam.errors import ConfigError
 from vislam.geometry import se3
 from vislam.record import Tracks
-from vislam.results import Results
 
 ROOT = Path(__file__).parents[2]
 FRAMES = 40
 FLOAT32 = 1e-5
 """Tolerance at the tens of metres of the circle: float32 has a spacing of 4e-6 there."""
+TITLE = "vislam short: drive"
 LEVER = se3.exp(np.array([0.1, -0.2, 0.3, 1.0, 0.2, -0.5]))
 
 
@@ -67,12 +67,12 @@ class Read:
 
 
 @pytest.fixture
-def written(recording, short_config, tmp_path):
+def written(recording, tmp_path):
     """Write runs beside a reference and read them back."""
 
     def write(runs, reference, **values):
         record = made_record(reference, frames=FRAMES, **values)
-        recording.write_recording(tmp_path / "out.rrd", Results(short_config, record, runs))
+        recording.write_recording(tmp_path / "out.rrd", runs, record, title=TITLE)
         assert [path.name for path in tmp_path.iterdir()] == ["out.rrd"]
         return Read(tmp_path / "out.rrd")
 
@@ -226,7 +226,7 @@ def test_the_text_says_what_the_pictures_do_not(written):
     read = written({"late": run}, far_reference(circle(FRAMES)), notes=notes, provenance={"cpu": "abacus"})
     ((text,),) = read.column("/about", "TextDocument:text")
     for said in (
-        "# vislam short: drive [SIMULATED]",
+        "# vislam short: drive",
         "data are simulated",
         notes[0],
         "late is incomplete: lost",
@@ -248,22 +248,22 @@ def test_nothing_in_the_file_names_the_machine(written, tmp_path):
         assert str(path) not in said
 
 
-def test_a_recording_that_cannot_be_whole_is_not_written(recording, short_config, tmp_path, monkeypatch):
+def test_a_recording_that_cannot_be_whole_is_not_written(recording, tmp_path, monkeypatch):
     import rerun as rr
 
     path = tmp_path / "out.rrd"
     path.write_bytes(b"the one before")
-    results = Results(short_config, made_record(frames=FRAMES), {"run": bare_run("run", circle(FRAMES))})
+    runs, record = {"run": bare_run("run", circle(FRAMES))}, made_record(frames=FRAMES)
     times = recording._times
     with monkeypatch.context() as patch:
         # One row short: of this the SDK alone would only warn.
         patch.setattr(recording, "_times", lambda frame, record: times(frame[1:], record))
         with pytest.raises(rr.error_utils.RerunWarning):
-            recording.write_recording(path, results)
+            recording.write_recording(path, runs, record, title=TITLE)
     with monkeypatch.context() as patch:
         patch.setenv("RERUN", "off")
         with pytest.raises(ConfigError, match="RERUN"):
-            recording.write_recording(path, results)
+            recording.write_recording(path, runs, record, title=TITLE)
     assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("out.rrd", b"the one before")]
 
 

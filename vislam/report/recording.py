@@ -4,6 +4,7 @@ Only this module imports rerun, and only who asks for a recording imports this m
 """
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from vislam.files import replace_whole
 from vislam.record import Record
 from vislam.report.placement import origin, place, principal_axes
 from vislam.report.shown import colours
-from vislam.results import Results
 from vislam.run import Run
 from vislam.types import Array, IntArray
 
@@ -30,7 +30,7 @@ _ABOUT, _REFERENCE, _TRUE_LANDMARKS = "about", "reference", "true landmarks"
 """Entities of no run. What runs log lies below their names, so that no name of a run can take these."""
 
 
-def write_recording(path: Path, results: Results) -> None:
+def write_recording(path: Path, runs: Mapping[str, Run], record: Record, *, title: str) -> None:
     """Write results as an ``.rrd`` file, whole or not at all.
 
     Its timelines are ``frame`` and ``time``, in seconds since the first frame of the drive. Each run has the
@@ -43,8 +43,8 @@ def write_recording(path: Path, results: Results) -> None:
     ConfigError
         If the environment switches Rerun off.
     """
-    record, drawn = results.record, {name: run for name, run in results.runs.items() if len(run.frame)}
-    colour = {name: int(f"{code[1:]}ff", 16) for name, code in colours(results.runs).items()}
+    drawn = {name: run for name, run in runs.items() if len(run.frame)}
+    colour = {name: int(f"{code[1:]}ff", 16) for name, code in colours(runs).items()}
     with replace_whole(path) as temporary, warnings.catch_warnings():
         # The SDK warns of what it cannot log, and goes on without it.
         warnings.simplefilter("error", rr.error_utils.RerunWarning)
@@ -53,9 +53,9 @@ def write_recording(path: Path, results: Results) -> None:
             raise ConfigError("--rerun: the environment variable RERUN switches it off; unset it")
         recording.save(temporary, _blueprint(list(drawn)))
         try:
-            recording.send_recording_name(results.title)
+            recording.send_recording_name(title)
             recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            about = rr.TextDocument(_about(results), media_type=rr.MediaType.MARKDOWN)
+            about = rr.TextDocument(_about(runs, record, title), media_type=rr.MediaType.MARKDOWN)
             recording.log(_ABOUT, about, static=True)
             if record.reference is not None:
                 _log_reference(recording, record.reference)
@@ -92,15 +92,12 @@ def _entity(*parts: str) -> str:
     return str(rr.new_entity_path(list(parts)))
 
 
-def _about(results: Results) -> str:
-    record = results.record
-    lines = [f"# {results.title}", ""]
+def _about(runs: Mapping[str, Run], record: Record, title: str) -> str:
+    lines = [f"# {title}", ""]
     if record.stand_in:
         lines += ["**The data are simulated**, in place of a recording or without one.", ""]
     lines += [f"- {note}" for note in record.notes]
-    lines += [
-        f"- {name} is incomplete: {run.error}" for name, run in results.runs.items() if not run.complete
-    ]
+    lines += [f"- {name} is incomplete: {run.error}" for name, run in runs.items() if not run.complete]
     lines += [f"- {line}" for line in _world(record.reference)]
     lines += ["", "## Provenance", ""]
     lines += [f"- {key}: {value}" for key, value in record.provenance.items()]
