@@ -10,6 +10,7 @@ from vislam.data.reference import Reference, truth_reference
 from vislam.evaluation import evaluate
 from vislam.evaluation.trajectory import path_length
 from vislam.geometry import se3
+from vislam.record import Tracks
 from vislam.run import Run
 
 
@@ -102,6 +103,7 @@ def test_landmarks_are_scored_against_the_truth_from_the_first_pose(rng):
     truth, motion = circle(), se3.exp(rng.normal(size=6))
     off = np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.0], [0.2, 0.0, 0.0]])
     run = made_run("a", motion @ truth, points_world=se3.transform(motion, np.eye(3) + off))
-    assert evaluate({"a": run}, made_record(of_truth(truth))).value("a", "map_error_median") == pytest.approx(
-        0.2
-    )
+    given = Tracks(np.zeros(3, np.int64), np.arange(3), np.zeros((3, 3)), np.ones((3, 3)))
+    found = evaluate({"a": run}, made_record(of_truth(truth), given=given))
+    assert found.value("a", "map_error_median") == pytest.approx(0.2)
+    assert found.value("a", "map_completeness") == 1.0

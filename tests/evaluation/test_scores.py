@@ -97,6 +97,14 @@ def test_landmarks_have_the_depth_and_the_views_that_their_tracks_have(results, 
     assert sum(row.count for row in pair.by_views()) == len(pair.map.track)
 
 
+def test_a_map_is_complete_without_the_landmarks_that_nobody_was_given(results, evaluation):
+    given = np.unique(results.record.given.track)
+    for name in ("eks", "isam2"):
+        known = np.isin(given, results.runs[name].track).mean()
+        assert evaluation.value(name, "map_completeness") == pytest.approx(known)
+    assert evaluation.value("eks", "map_completeness") > 0.95
+
+
 def test_nobody_was_given_the_held_out_tracks(results):
     record = results.record
     assert len(record.held_out.track)

@@ -1,7 +1,7 @@
 """Everything that is known of a run, and of two: arrays, which metrics sum up and figures show."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -172,6 +172,10 @@ def _map_errors(
     reference = record.reference
     if final is None or reference is None or reference.pose is None or not len(reference.track):
         return None, None
+    # Nobody can know the landmarks of tracks that were kept from all.
+    given = np.isin(reference.track, record.given.track)
+    reference = replace(reference, track=reference.track[given], points_world=reference.points_world[given])
+    assert reference.pose is not None
     depth = _depth(reference.track, reference.points_world, record.given, reference.frame, reference.pose)
     found = []
     for kind in ("first_pose", "se3"):
