@@ -41,6 +41,7 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         default=0.05,
         help="share by which an error may exceed the saved one, unless checks say that (default: 0.05)",
     )
+    add("--no-report", action="store_true", help="metrics and checks only: no figures, no page")
     add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")
     add(
         "--rerun",

@@ -61,6 +61,7 @@ def _compare(options: argparse.Namespace) -> int:
         terminal=Terminal(),
         against=options.against,
         tolerance=options.tolerance,
+        report=not options.no_report,
     )
     return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
 

@@ -47,12 +47,13 @@ def compare(
     terminal: Terminal,
     against: Path | None = None,
     tolerance: float = 0.05,
+    report: bool = True,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
     The id is a hash of the config, the data and the code, so that a rerun lands in the same place. The checks
     of the config are judged; ``against`` names saved results for them, which no error may exceed by more than
-    the share ``tolerance`` if they say nothing else of them.
+    the share ``tolerance`` if they say nothing else of them. ``report`` says whether a page is wanted.
 
     Raises
     ------
@@ -87,8 +88,8 @@ def compare(
     runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
     results = Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
     results.save(folder)
-    published = publish(results, folder, checklist)
-    announce(results, published, folder, terminal)
+    published = publish(results, folder, checklist, report=report)
+    announce(results, published, terminal)
     return Outcome(folder, results, published)
 
 

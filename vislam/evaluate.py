@@ -49,8 +49,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     )
     checklist.refuse_other(digest=results.record.digest, reference=results.record.reference)
     folder = options.out or options.results
-    published = publish(results, folder, checklist)
-    announce(results, published, folder, Terminal())
+    published = publish(results, folder, checklist, report=not options.no_report)
+    announce(results, published, Terminal())
     return conclude(results, published, junit=options.junit, rerun=options.rerun)
 
 

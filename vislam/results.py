@@ -91,32 +91,59 @@ class Results:
 
 @dataclass(frozen=True)
 class Published:
-    """What was made of results."""
+    """What was made of results.
+
+    Attributes
+    ----------
+    evaluation : Evaluation
+    verdicts : sequence of Verdict
+    document : dict
+        What ``metrics.json`` holds.
+    path : Path
+        What to read: the report, or the metrics if there is none.
+    """
 
     evaluation: Evaluation
     verdicts: Sequence[Verdict]
     document: dict[str, Any]
+    path: Path
 
 
-def publish(results: Results, folder: Path, checklist: Checklist) -> Published:
-    """Score and judge runs, and write ``metrics.json``, figures and report.
+def publish(results: Results, folder: Path, checklist: Checklist, *, report: bool = True) -> Published:
+    """Score and judge runs; write ``metrics.json`` and, if wanted, figures and report.
 
     Nothing but results and checklist enters: whoever reads them from their folder gets the same bytes.
     """
-    config, record, runs = results.config, results.record, results.runs
-    evaluation = evaluate(runs, record)
-    verdicts = checklist.judge(runs, evaluation)
-    rungs = attribute(config.ladder, runs, evaluation, record.reference)
+    evaluation = evaluate(results.runs, results.record)
+    verdicts = checklist.judge(results.runs, evaluation)
+    rungs = attribute(results.config.ladder, results.runs, evaluation, results.record.reference)
     document = metrics_document(results, evaluation, rungs, verdicts)
-    with replace_whole(folder / "metrics.json") as temporary:
+    written = folder / "metrics.json"
+    with replace_whole(written) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    if report:
+        written = folder / "report.html"
+        _write_report(results, evaluation, rungs, verdicts, path=written)
+    return Published(evaluation, verdicts, document, written)
+
+
+def _write_report(
+    results: Results,
+    evaluation: Evaluation,
+    rungs: Sequence[Rung],
+    verdicts: Sequence[Verdict],
+    *,
+    path: Path,
+) -> None:
+    """Write the page, and its figures beside it."""
+    record, runs = results.record, results.runs
     shown = Shown.of(runs, record, evaluation, rungs)
     figures = all_figures(shown)
     for name, drawing in figures.items():
-        with replace_whole(folder / "figures" / f"{name}.png") as temporary:
+        with replace_whole(path.parent / "figures" / f"{name}.png") as temporary:
             drawing.figure.savefig(temporary, format="png", dpi=_DPI)
     write_page(
-        folder / "report.html",
+        path,
         title=results.title,
         notes=record.notes,
         runs=runs,
@@ -130,9 +157,8 @@ def publish(results: Results, folder: Path, checklist: Checklist) -> Published:
         scene=scene_data(shown),
         checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
-        config=configuration.dump(config),
+        config=configuration.dump(results.config),
     )
-    return Published(evaluation, verdicts, document)
 
 
 def metrics_document(
@@ -175,10 +201,10 @@ def metrics_document(
     }
 
 
-def announce(results: Results, published: Published, folder: Path, terminal: Terminal) -> None:
-    """Print the closing table, where the report is, and what must not be overlooked."""
+def announce(results: Results, published: Published, terminal: Terminal) -> None:
+    """Print the closing table, where to read on, and what must not be overlooked."""
     table = comparison_table(results.runs, published.evaluation, keys=SHORT)
-    terminal.table(table, title=results.title, path=folder / "report.html")
+    terminal.table(table, title=results.title, path=published.path)
     if told := results.frozen_told():
         terminal.note(told)
     for name, run in results.runs.items():

@@ -53,6 +53,6 @@ class Terminal:
         self._console.print(drawn)
 
     def table(self, table: Table, *, title: str, path: Path) -> None:
-        """Print the closing table and where the report is."""
+        """Print the closing table and where to read on."""
         self.rows(table.header, table.rows, title=title)
-        self.note(f"report: {path}")
+        self.note(f"{path.stem}: {path}")

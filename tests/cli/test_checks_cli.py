@@ -24,7 +24,7 @@ def elsewhere(monkeypatch, tmp_path):
 def command(out="out", *more, checks="[]"):
     text = f"extends: {TINY}\ndata: {{simulation: {{frames: 15}}}}\nestimators: {{ekf: {{}}}}\n"
     Path("c.yaml").write_text(f"{text}checks: {checks}\n", encoding="utf-8")
-    return main(["--config", "c.yaml", "--out", out, *more])
+    return main(["--config", "c.yaml", "--out", out, "--no-report", *more])
 
 
 def metrics(out="out"):

@@ -121,12 +121,25 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert f"| {value['ekf', 'ate_rmse']:.2f} |" in table
 
 
+def test_without_a_report_there_are_the_numbers(tmp_path, capsys):
+    assert main(["--config", TINY, "--out", "out", "--no-report", "--estimators", "ekf"]) == 0
+    (folder,) = (tmp_path / "out").iterdir()
+    assert capsys.readouterr().out.endswith(f"metrics: out/{folder.name}/metrics.json\n")
+    assert not list(folder.rglob("*.html")) + list(folder.rglob("*.png"))
+    numbers = json.loads((folder / "metrics.json").read_text())
+    assert main(["--config", TINY, "--out", "out", "--estimators", "ekf"]) == 0
+    again = json.loads((folder / "metrics.json").read_text())
+    timed = ("_ms", "_time_s", "_rss_mb")
+    for one, other in zip(numbers["metrics"], again["metrics"], strict=True):
+        assert one == other or one["key"].endswith(timed)
+
+
 def test_a_rerun_lands_in_the_same_place_with_the_same_numbers(tmp_path):
     for _ in range(2):
-        assert main(["--config", TINY, "--out", "out", "--estimators", "ekf"]) == 0
+        assert main(["--config", TINY, "--out", "out", "--no-report", "--estimators", "ekf"]) == 0
     (folder,) = (tmp_path / "out").iterdir()
     first = np.loadtxt(folder / "ekf.tum")
-    assert main(["--config", TINY, "--out", "other", "--estimators", "ekf"]) == 0
+    assert main(["--config", TINY, "--out", "other", "--no-report", "--estimators", "ekf"]) == 0
     (other,) = (tmp_path / "other").iterdir()
     assert np.array_equal(first, np.loadtxt(other / "ekf.tum"))
     assert folder.name == other.name
@@ -176,7 +189,7 @@ def test_a_missing_recording_is_simulated_unless_that_is_refused(capsys):
     assert "--data-dir" in message
     assert not Path("out").exists()
     short = ["--set", "data.simulation.frames=20", "--estimators", "ekf"]
-    assert main(["--config", DS3, "--out", "out", *short]) == 0
+    assert main(["--config", DS3, "--out", "out", "--no-report", *short]) == 0
     assert capsys.readouterr().out.startswith("SIMULATED: stand-in for 03.npz")
 
 
@@ -333,7 +346,7 @@ def test_the_recorded_drives_are_as_accurate_as_promised(name, file, limits, tmp
     config = str(ROOT / "configs" / f"{name}.yaml")
     chosen = ",".join(["dead_reckoning", *limits])
     asked = ["--config", config, "--estimators", chosen, "--data-dir", str(folder), "--no-stand-in"]
-    assert main([*asked, "--out", "out"]) == 0
+    assert main([*asked, "--no-report", "--out", "out"]) == 0
     document = json.loads(next((tmp_path / "out").rglob("metrics.json")).read_text())
     value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
     key = "ate_planar_rmse" if file == "03.npz" else "ate_rmse"

@@ -20,7 +20,9 @@ def results(short_config: Config, tmp_path_factory) -> Results:
     sections = {"dead_reckoning": {}, "eks": {"observability": True}, "isam2": {"marginals": "all"}}
     config = replace(short_config, seed=3, estimators=sections)
     terminal, out = Terminal(), tmp_path_factory.mktemp("scores")
-    return compare(config, out=out, data_dir=None, allow_stand_in=True, terminal=terminal).results
+    return compare(
+        config, out=out, data_dir=None, allow_stand_in=True, terminal=terminal, report=False
+    ).results
 
 
 @pytest.fixture(scope="module")
