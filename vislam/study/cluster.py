@@ -120,6 +120,7 @@ def _local(workers: int | None) -> Iterator[LocalCluster]:
         processes=True,
         dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
+        preload="vislam.study.local_worker",
     ) as cluster:
         yield cluster
 
