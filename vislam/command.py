@@ -16,9 +16,16 @@ from vislam.files import check_writable
 
 def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Add the options that name a config, override its values and say where the data is."""
+    add_override_options(parser, required=required)
+    add = parser.add_argument
+    add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
+    add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
+
+
+def add_override_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+    """Add the options that name a config and override its values."""
     add = parser.add_argument
     add("--config", type=Path, required=required, help="YAML configuration")
-    add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
     add("--seed", type=int, help="seed of whatever is simulated")
     add(
         "--set",
@@ -27,7 +34,6 @@ def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True
         metavar="KEY=VALUE",
         help="override a config value by dotted path",
     )
-    add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
     add("--verbose", action="store_true", help="log what is read, cut and dropped")
 
 

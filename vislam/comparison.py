@@ -4,6 +4,7 @@ import hashlib
 import platform
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from vislam.checks.judge import read_checklist
 from vislam.config import Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
-from vislam.estimator import ClimbNoise, Problem
+from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
+from vislam.files import check_writable
 from vislam.frozen import FrozenList
 from vislam.members import members
 from vislam.motion import MotionNoise
@@ -58,39 +60,57 @@ def compare(
     Raises
     ------
     ConfigError, DataError
-        Before anything is written, but for the folder.
+        Before anything is written.
     DivergedError
         The same, if an estimator that the list of observations is to come from is incomplete.
     """
-    chosen = members(config)
+    members(config)
     checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
-    if dataset.sequence.observations == 0:
-        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
-    problem = make_problem(config, dataset)
-    # Who is given a frozen list does not gate; who is given all observations does as it is told.
-    listed = replace(problem, gate_probability=1.0) if config.frozen_by else problem
-    estimators = {
-        name: member.build(problem if member.takes_all else listed) for name, member in chosen.items()
-    }
-    for note in dataset.notes:
-        terminal.note(note)
     folder = out / result_id(config, dataset)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: results cannot be written there ({error.strerror})") from None
-    sigma = pixel_sigma(config, dataset)
-    held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
-    runner = Runner(dataset.sequence.select(~held), sigma[~held], config.blas_threads, terminal)
-    frozen = runner.freeze(chosen, problem, by=config.frozen_by) if config.frozen_by else None
-    runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
-    results = Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
+    check_writable(folder / "metrics.json")
+    results = run_comparison(config, dataset, terminal)
     results.save(folder)
     published = publish(results, folder, checklist, report=report)
     announce(results, published, terminal)
     return Outcome(folder, results, published)
+
+
+def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Results:
+    """Run the estimators of a config on what of the data is not held out; nothing is written.
+
+    Raises
+    ------
+    ConfigError, DataError
+        Before anything runs.
+    DivergedError
+        If an estimator that the list of observations is to come from is incomplete.
+    """
+    if dataset.sequence.observations == 0:
+        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
+    estimators = build_estimators(config, dataset)
+    for note in dataset.notes:
+        terminal.note(note)
+    sigma = pixel_sigma(config, dataset)
+    held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
+    runner = Runner(dataset.sequence.select(~held), sigma[~held], config.blas_threads, terminal)
+    frozen = None
+    if config.frozen_by:
+        frozen = runner.freeze(members(config), make_problem(config, dataset), by=config.frozen_by)
+    runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
+    return Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
+
+
+def build_estimators(config: Config, dataset: Dataset) -> dict[str, Estimator]:
+    """Build the estimators by the name of their run, in order; a ConfigError names a wrong option."""
+    problem = make_problem(config, dataset)
+    # Who is given a frozen list does not gate; who is given all observations does as it is told.
+    listed = replace(problem, gate_probability=1.0) if config.frozen_by else problem
+    return {
+        name: member.build(problem if member.takes_all else listed)
+        for name, member in members(config).items()
+    }
 
 
 def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenList | None) -> Record:
@@ -158,7 +178,7 @@ def _track_noise(config: Config) -> TrackNoise:
 
 def result_id(config: Config, dataset: Dataset) -> str:
     """Hash of config, data and code version."""
-    parts = [configuration.dump(config), dataset.sequence.digest, _code_digest()]
+    parts = [configuration.dump(config), dataset.sequence.digest, code_digest()]
     return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
 
 
@@ -170,7 +190,7 @@ def provenance() -> dict[str, str]:
         "cpu": _cpu(),
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
-        "code": _code_digest(),
+        "code": code_digest(),
     }
 
 
@@ -183,7 +203,8 @@ def _cpu() -> str:
     return platform.processor() or platform.machine()
 
 
-def _code_digest() -> str:
+@cache
+def code_digest() -> str:
     """Hash of the package's own source, so that a changed estimator gets a folder of its own."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):

@@ -15,6 +15,7 @@ from vislam.errors import ConfigError
 from vislam.fields import STRICT, NonNegative, Positive
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
+from vislam.study.settings import StudyConfig
 
 Parsed = TypeVar("Parsed")
 
@@ -193,6 +194,8 @@ class Config:
     false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01
     """Chance that results of consistent estimators fail one of the tests among the checks, whichever; shared
     out evenly among the tests (Bonferroni)."""
+    study: StudyConfig | None = None
+    """How ``vislam.study`` repeats the comparison with other seeds and values; nothing else looks at it."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Annotated[int, Field(ge=0)] = 0

@@ -16,12 +16,13 @@ _FEWEST_COLUMNS = 100
 
 
 class Terminal:
-    """Prints to standard output; the progress bar is quiet when that is no terminal."""
+    """Prints to standard output, or not at all; the progress bar is quiet when that is no terminal."""
 
-    def __init__(self) -> None:
-        self._console = Console(highlight=False)
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._console = Console(highlight=False, quiet=quiet)
         if not self._console.is_terminal:
-            self._console = Console(highlight=False, width=_FEWEST_COLUMNS)
+            self._console = Console(highlight=False, quiet=quiet, width=_FEWEST_COLUMNS)
 
     def note(self, text: str) -> None:
         """Print a line."""
@@ -36,7 +37,7 @@ class Terminal:
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=self._console,
-            disable=not self._console.is_terminal,
+            disable=self._quiet or not self._console.is_terminal,
             transient=True,
         )
         with bar:

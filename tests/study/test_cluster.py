@@ -1,0 +1,101 @@
+"""Trials on workers: few at a time, and what becomes of a worker's death or of other code."""
+
+import itertools
+import time
+
+import pytest
+from distributed import Client, Future
+
+from vislam.comparison import code_digest
+from vislam.errors import ConfigError, DataError
+from vislam.study.cluster import LOST, Cluster, run_trials
+from vislam.study.points import Point, all_trials
+
+WORKERS = 2
+SETS = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Threads of this process: as good as any worker, and quick to start."""
+    with Client(
+        processes=False, n_workers=WORKERS, threads_per_worker=1, dashboard_address=None, protocol="inproc://"
+    ) as client:
+        yield client
+
+
+def trials(number):
+    """Trials that no other test has: a scheduler knows a trial by its id."""
+    return all_trials([Point({}, {})], seeds=range(number), code=str(next(SETS)))
+
+
+def work(tree, seed):
+    return {"status": "done", "seed": seed, "code": code_digest()}
+
+
+def test_each_trial_comes_back_once_and_few_are_held_at_a_time(client):
+    taken, held = itertools.count(), []
+
+    def counted():
+        for trial in trials(60):
+            next(taken)
+            held.append(len(client.futures))
+            yield trial
+
+    found = [(trial.seed, result["seed"]) for trial, result in run_trials(client, counted(), work=work)]
+    assert sorted(found) == [(seed, seed) for seed in range(60)]
+    # Four for each worker, and the one that has just been taken.
+    assert max(held) <= 4 * WORKERS
+    assert next(taken) == 60
+
+
+def test_trials_are_drawn_only_as_others_finish(client):
+    drawn = []
+
+    def told():
+        for trial in trials(60):
+            drawn.append(trial.seed)
+            yield trial
+
+    running = run_trials(client, told(), work=work)
+    next(running)
+    assert len(drawn) <= 4 * WORKERS + 1
+    running.close()
+
+
+def test_a_trial_that_its_worker_cannot_return_is_lost_and_says_why(client):
+    def broken(tree, seed):
+        raise MemoryError("out of memory")
+
+    ((_, result),) = run_trials(client, trials(1), work=broken)
+    assert result["status"] == LOST
+    assert result["reason"] == "MemoryError: out of memory"
+
+
+def test_a_worker_of_other_code_ends_the_study(client):
+    def old(tree, seed):
+        return {**work(tree, seed), "code": "0123456789"}
+
+    with pytest.raises(ConfigError, match="a worker has vislam of code 0123456789, here it is"):
+        list(run_trials(client, trials(1), work=old))
+
+
+def test_a_lost_scheduler_is_told_in_one_line(client):
+    def slow(tree, seed):
+        time.sleep(0.1)
+        return work(tree, seed)
+
+    running = run_trials(client, trials(20), work=slow)
+    next(running)
+    # What the client does to its futures as the scheduler goes.
+    client.cancel([Future(key, client) for key in list(client.futures)])
+    with pytest.raises(DataError, match="connection to the Dask scheduler is lost"):
+        list(running)
+
+
+def test_there_must_be_a_scheduler_file(tmp_path):
+    with (
+        pytest.raises(ConfigError, match="there is no such file"),
+        Cluster(None, tmp_path / "none").connect(),
+    ):
+        pass

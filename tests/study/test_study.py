@@ -1,0 +1,208 @@
+"""The command: a small study on processes of this machine, stopped and gone on with."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from vislam.study import conduct
+from vislam.study.__main__ import main
+from vislam.study.cluster import LOST
+from vislam.study.trial import nothing, run_trial
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SMALL = """
+name: small
+data: {simulation: {frames: 25, tracks_in_view: 20}}
+estimators: {dead_reckoning: {}, ekf: {}}
+seed: 5
+study:
+  seeds: 2
+  grid: {noise.pixel_sigma_px: [0.5, 1.0]}
+"""
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL, encoding="utf-8")
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Run trials in this process, and list them."""
+    seen = []
+
+    class Here:
+        def connect(self):
+            return self
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+    def run_here(client, trials):
+        for trial in trials:
+            seen.append((trial.point.values, trial.seed))
+            yield trial, run_trial(trial.point.tree, trial.seed)
+
+    monkeypatch.setattr("vislam.study.cluster.Cluster.connect", lambda self: Here())
+    monkeypatch.setattr(conduct, "run_trials", run_here)
+    monkeypatch.setattr(conduct, "_address", lambda client: "here")
+    return seen
+
+
+def study(*extra):
+    return main(["--config", "small.yaml", "--out", "out", *extra])
+
+
+def only(pattern):
+    (path,) = Path("out").glob(pattern)
+    return path
+
+
+def table():
+    with only("*/trials.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_a_study_on_two_processes_runs_every_seed_at_every_point(capsys):
+    assert study("--workers", "2") == 0
+    rows = table()
+    assert [(row["noise.pixel_sigma_px"], row["seed"]) for row in rows] == [
+        ("0.5", "5"),
+        ("0.5", "6"),
+        ("1.0", "5"),
+        ("1.0", "6"),
+    ]
+    assert all(row["status"] == "done" and float(row["ekf.ate_rmse"]) > 0.0 for row in rows)
+    document = json.loads(only("*/study.json").read_text(encoding="utf-8"))
+    assert document["counts"] == {"done": 4, "failed": 0, "lost": 0}
+    assert {"cpu", "code"} <= document["provenance"].keys()
+    assert len(list(only("*/trials").glob("*.json"))) == 4
+    said = capsys.readouterr()
+    assert "4 trials, 0 of them are finished" in said.out
+    assert said.err == ""
+
+
+def test_a_stopped_study_runs_only_what_is_missing(ran):
+    assert study() == 0
+    whole = table()
+    files = [only("*/trials") / f"{row['id']}.json" for row in whole]
+    files[1].unlink()
+    files[2].write_text(files[2].read_text(encoding="utf-8")[:100], encoding="utf-8")
+    ran.clear()
+    assert study() == 0
+    assert ran == [({"noise.pixel_sigma_px": 0.5}, 6), ({"noise.pixel_sigma_px": 1.0}, 5)]
+    errors = [[row["ekf.ate_rmse"] for row in rows] for rows in (whole, table())]
+    assert errors[0] == errors[1]
+
+
+def test_more_seeds_go_on_where_the_study_was(ran):
+    assert study() == 0
+    ran.clear()
+    assert study("--set", "study.seeds=3") == 0
+    assert [seed for _, seed in ran] == [7, 7]
+    assert len(table()) == 6
+
+
+def test_only_the_metrics_that_are_asked_for_are_columns(ran):
+    assert study("--set", "study.metrics=[ate_rmse]", "--set", "study.seeds=1") == 0
+    assert list(table()[0])[-3:] == ["seconds", "dead_reckoning.ate_rmse", "ekf.ate_rmse"]
+
+
+def test_a_failing_trial_is_a_row(ran, monkeypatch, capsys):
+    def run_here(client, trials):
+        for trial in trials:
+            tree = trial.point.tree if trial.seed == 5 else {"name": "bad"}
+            yield trial, run_trial(tree, trial.seed)
+
+    monkeypatch.setattr(conduct, "run_trials", run_here)
+    assert study() == 0
+    rows = table()
+    assert [row["status"] for row in rows] == ["done", "failed", "done", "failed"]
+    assert rows[1]["reason"].startswith("ConfigError: ")
+    assert rows[1]["ekf.ate_rmse"] == ""
+    shown = [line.split("│") for line in capsys.readouterr().out.splitlines() if " ekf " in line]
+    assert [[cell.strip() for cell in line[3:5]] for line in shown] == [["2", "1"], ["2", "1"]]
+
+
+def test_lost_trials_are_run_again(ran, monkeypatch, capsys):
+    whole = conduct.run_trials
+
+    def lose(client, trials):
+        for trial in trials:
+            yield trial, {**nothing(LOST, "KilledWorker"), "seconds": None, "code": ""}
+
+    monkeypatch.setattr(conduct, "run_trials", lose)
+    assert study() == 1
+    assert "4 trials were lost with their workers" in capsys.readouterr().out
+    monkeypatch.setattr(conduct, "run_trials", whole)
+    assert study() == 0
+    assert len(ran) == 4
+
+
+def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypatch, capsys):
+    whole = conduct.run_trials
+
+    def interrupted(client, trials):
+        yield next(whole(client, trials))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(conduct, "run_trials", interrupted)
+    assert study() == 130
+    assert capsys.readouterr().err == ""
+    assert len(list(only("*/trials").glob("*.json"))) == 1
+    assert not list(Path("out").glob("*/trials.csv"))
+
+
+BAD = {
+    "no study": (["--set", "study=null"], "study: the config has no such section"),
+    "a recording": (["--set", "data.file=03.npz"], "data.file: trials are of data made with a seed"),
+    "no seeds": (["--set", "study.seeds=0"], "study.seeds: "),
+    "empty grid": (["--set", "study.grid={noise.drift_px: []}"], "study.grid.noise.drift_px: "),
+    "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are grid"),
+    "grid and cube": (
+        ["--set", "study.latin_hypercube={samples: 2, ranges: {noise.drift_px: [0, 1]}}"],
+        "study: one of grid and latin_hypercube",
+    ),
+    "swept key": (["--set", "study.grid={noise.drift: [1]}"], "study: noise.drift: unknown key"),
+    "option": (["--set", "study.grid={estimators.ekf.gates: [true]}"], "estimators.ekf.gates: unknown key"),
+    "workers": (["--workers", "0"], "--workers must be at least 1"),
+    "place": (["--out", "small.yaml"], "cannot be written there"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_gets_one_line_and_2(case, ran, capsys):
+    extra, message = BAD[case]
+    assert study(*extra) == 2
+    said = capsys.readouterr()
+    assert message in said.err
+    assert len(said.err.splitlines()) == 1
+    assert ran == []
+
+
+def test_a_full_disk_is_one_line_and_2(ran, monkeypatch, capsys):
+    def full(self, *args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    assert study() == 2
+    said = capsys.readouterr().err
+    assert "cannot be written (No space left on device)" in said
+    assert len(said.splitlines()) == 1
+    assert list(only("*/trials").iterdir()) == []
+
+
+@pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), CONFIGS / "monte_carlo.yaml"])
+def test_the_studies_that_come_along_can_be_planned(path):
+    from vislam import config as configuration
+
+    plan = conduct.Plan.of(configuration.load(path))
+    assert len(plan.points) * plan.study.seeds == len({trial.id for trial in plan.trials()})
+    assert len({point.digest for point in plan.points}) == len(plan.points)

@@ -1,0 +1,140 @@
+"""A study from its config to its table: the missing trials are run, the finished ones are kept."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from vislam.comparison import build_estimators, code_digest, provenance
+from vislam.config import Config, parse
+from vislam.data.source import open_dataset
+from vislam.errors import ConfigError
+from vislam.study.cluster import LOST, Cluster, run_trials
+from vislam.study.folder import StudyFolder
+from vislam.study.points import Point, Trial, all_points, all_trials
+from vislam.study.settings import StudyConfig
+from vislam.study.summary import HEADER, rows_of
+from vislam.study.trial import DONE, FAILED
+from vislam.terminal import Terminal
+
+SCHEMA_VERSION = 1
+_ID_DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a study consists of.
+
+    Attributes
+    ----------
+    config : Config
+    study : StudyConfig
+    points : sequence of Point
+    """
+
+    config: Config
+    study: StudyConfig
+    points: Sequence[Point]
+
+    @classmethod
+    def of(cls, config: Config) -> "Plan":
+        """Plan the study of a config; ConfigError if there is none, or what it sweeps cannot be."""
+        if config.study is None:
+            raise ConfigError("study: the config has no such section; see configs/monte_carlo.yaml for one")
+        if config.data.file is not None:
+            raise ConfigError(
+                f"data.file: trials are of data made with a seed, got {config.data.file}; set it to null"
+            )
+        return cls(config, config.study, all_points(config, config.study))
+
+    def trials(self) -> Iterator[Trial]:
+        """Every seed at every point."""
+        first = self.config.seed
+        return all_trials(self.points, seeds=range(first, first + self.study.seeds), code=code_digest())
+
+    def of_point(self, point: Point) -> Iterator[Trial]:
+        """Trials of one point."""
+        return replace(self, points=[point]).trials()
+
+    @property
+    def id(self) -> str:
+        """Hash of config and code; with more seeds a study goes on, so they do not count."""
+        lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
+        text = json.dumps(asdict(lasting)) + code_digest()
+        return f"{self.config.name}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
+
+    def refuse_bad_options(self) -> None:
+        """Raise ConfigError or DataError for what would make every trial of a point fail."""
+        dataset = open_dataset(parse(Config, self.points[0].tree).data, seed=self.config.seed)
+        for point in self.points:
+            build_estimators(parse(Config, point.tree), dataset)
+
+
+def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) -> int:
+    """Run what is missing of a study, write its table and return how many trials were lost.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If config, workers or folder cannot be used; trials that have finished are kept.
+    """
+    plan = Plan.of(config)
+    plan.refuse_bad_options()
+    folder = StudyFolder(out / plan.id)
+    total = len(plan.points) * plan.study.seeds
+    missing = sum(folder.find(trial) is None for trial in plan.trials())
+    terminal.note(f"{total} trials, {total - missing} of them are finished")
+    if missing:
+        _run_missing(plan, folder, cluster, terminal, missing)
+    return _conclude(plan, folder, terminal)
+
+
+def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
+    """Run the ``number`` trials that have no result yet."""
+    missing = (trial for trial in plan.trials() if folder.find(trial) is None)
+    with cluster.connect() as client:
+        terminal.note(_address(client))
+        with terminal.progress("trials", number) as bar:
+            for finished, (trial, result) in enumerate(run_trials(client, missing), start=1):
+                folder.save(trial, result)
+                bar.update(0, completed=finished)  # type: ignore[arg-type]
+
+
+def _address(client: Any) -> str:
+    """Where to watch the workers: the dashboard needs bokeh, which nothing else does."""
+    if find_spec("bokeh") is not None and client.dashboard_link:
+        return f"dashboard: {client.dashboard_link}"
+    return f"scheduler: {client.scheduler.address}"
+
+
+def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
+    """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials."""
+    swept = tuple(plan.points[0].values)
+    folder.write_table(plan.trials(), swept=swept, metrics=plan.study.metrics)
+    counts = dict.fromkeys((DONE, FAILED), 0)
+    rows: list[tuple[str, ...]] = []
+    for point in plan.points:
+        results = [found for trial in plan.of_point(point) if (found := folder.find(trial)) is not None]
+        for result in results:
+            counts[result["status"]] += 1
+        rows += rows_of(point, results)
+    lost = len(plan.points) * plan.study.seeds - sum(counts.values())
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "name": plan.config.name,
+        "config": asdict(plan.config),
+        "swept": swept,
+        "points": len(plan.points),
+        "seeds": plan.study.seeds,
+        "counts": {**counts, LOST: lost},
+        "provenance": provenance(),
+    }
+    folder.write_json(folder.path / "study.json", document)
+    terminal.rows(HEADER, rows, title=f"vislam {plan.config.name} [SIMULATED]")
+    if lost:
+        terminal.note(f"{lost} trials were lost with their workers; run the study again to repeat them")
+    terminal.note(f"trials: {folder.path / 'trials.csv'}")
+    return lost

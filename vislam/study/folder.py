@@ -1,0 +1,105 @@
+"""The folder of a study: a file for each finished trial, and a table of them all."""
+
+import csv
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from vislam import config as configuration
+from vislam.errors import DataError, first_line
+from vislam.files import check_writable, replace_whole
+from vislam.study.points import Trial
+from vislam.study.trial import DONE, FAILED
+
+Result = dict[str, Any]
+
+
+class StudyFolder:
+    """Results of trials under ``trials/``, by their id; one that is there is finished."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        check_writable(path / "study.json")
+
+    def find(self, trial: Trial) -> Result | None:
+        """Result of a finished trial; None if it is not there, not whole, or was lost with its worker."""
+        try:
+            found = json.loads(self._file(trial).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        known = isinstance(found, dict) and found.get("status") in (DONE, FAILED)
+        return found if known else None
+
+    def save(self, trial: Trial, result: Result) -> None:
+        """Write the result of a trial, whole or not at all; DataError if it cannot be."""
+        document = {"id": trial.id, "seed": trial.seed, "values": trial.point.values, **result}
+        self.write_json(self._file(trial), document)
+
+    def write_json(self, path: Path, document: Any) -> None:
+        """Write plain data."""
+        with _told(path), replace_whole(path) as temporary:
+            temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+    def write_table(self, trials: Iterable[Trial], *, swept: Sequence[str], metrics: Sequence[str]) -> None:
+        """Write ``trials.csv``: a row for each trial that is there, a column for each metric of each run.
+
+        Parameters
+        ----------
+        trials : iterable of Trial
+        swept : sequence of str
+            Dotted paths of what differs between points.
+        metrics : sequence of str
+            Keys to keep; none: all.
+        """
+        trials = list(trials)
+        columns: dict[str, None] = {}
+        for trial in trials:
+            columns |= dict.fromkeys(_wide(self.find(trial), metrics))
+        own = ("id", "seed", *swept, "status", "reason", "seconds")
+        path = self.path / "trials.csv"
+        with (
+            _told(path),
+            replace_whole(path) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
+            writer = csv.writer(file)
+            writer.writerow((*own, *columns))
+            for trial in trials:
+                if (found := self.find(trial)) is not None:
+                    wide = _wide(found, metrics)
+                    writer.writerow((*_own(trial, found), *(wide.get(name, "") for name in columns)))
+
+    def _file(self, trial: Trial) -> Path:
+        return self.path / "trials" / f"{trial.id}.json"
+
+
+def _own(trial: Trial, result: Result) -> Iterator[Any]:
+    """Cells before the metrics."""
+    yield from (trial.id, trial.seed)
+    for value in trial.point.values.values():
+        yield configuration.inline(value) if isinstance(value, dict | list | tuple) else value
+    yield from (result["status"], result["reason"], result["seconds"])
+
+
+def _wide(result: Result | None, keys: Sequence[str]) -> dict[str, float]:
+    """Metrics of a trial by ``<estimator>.<key>``."""
+    if result is None:
+        return {}
+    return {
+        f"{metric['estimator']}.{metric['key']}": metric["value"]
+        for metric in result["metrics"]
+        if not keys or metric["key"] in keys
+    }
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn what the file system refuses into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be written ({first_line(error)}); finished trials are kept"
+        ) from None

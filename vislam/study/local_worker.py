@@ -1,0 +1,9 @@
+"""What each worker process of this machine loads as it starts."""
+
+import signal
+from typing import Any
+
+
+def dask_setup(worker: Any) -> None:
+    """Leave Ctrl-C to the study, which then ends its workers; Dask calls this in the worker's main thread."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,106 @@
+"""The points of a study and its trials: which config, which seed, and by which id both are found again."""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from scipy.stats import qmc
+
+from vislam import config as configuration
+from vislam.config import Config
+from vislam.errors import ConfigError
+from vislam.members import members
+from vislam.study.settings import StudyConfig
+
+_ID_DIGITS = 16
+_NOT_SWEPT = ("seed", "name", "study", "checks", "blas_threads")
+"""Keys that are the study's own, or mean nothing to a trial."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A config that a study repeats over seeds.
+
+    Attributes
+    ----------
+    values : dict of str to Any
+        What it puts in place of the config's own, by dotted path.
+    tree : dict
+        The effective config as plain data, without what a trial does not look at.
+    """
+
+    values: dict[str, Any]
+    tree: dict[str, Any]
+
+    @classmethod
+    def of(cls, config: Config, values: Mapping[str, Any]) -> "Point":
+        """Lay values over a config; ConfigError if it takes them not."""
+        tree = _plain(replace(config, study=None, checks=(), seed=0, blas_threads=1))
+        try:
+            for path, value in values.items():
+                configuration.put(tree, path, deepcopy(value))
+            found = configuration.parse(Config, tree)
+            members(found)
+        except ConfigError as error:
+            raise ConfigError(f"study: {error}") from None
+        return cls(dict(values), _plain(found))
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the effective config."""
+        return hashlib.sha256(json.dumps(self.tree).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A point with a seed; the id is a hash of both and of the code."""
+
+    id: str
+    point: Point
+    seed: int
+
+
+def all_points(config: Config, study: StudyConfig) -> list[Point]:
+    """Points of a study; the config itself where nothing is swept.
+
+    Raises
+    ------
+    ConfigError
+        If the config takes one of them not.
+    """
+    swept = study.grid or (study.latin_hypercube.ranges if study.latin_hypercube else {})
+    for path in swept:
+        if path.split(".", maxsplit=1)[0] in _NOT_SWEPT:
+            raise ConfigError(f"study: {path} cannot be swept")
+    return [Point.of(config, values) for values in point_values(study)]
+
+
+def point_values(study: StudyConfig) -> Iterator[dict[str, Any]]:
+    """Values of each point by dotted path; of a grid, the last path changes fastest."""
+    cube = study.latin_hypercube
+    if cube is None:
+        for combination in itertools.product(*study.grid.values()):
+            yield dict(zip(study.grid, combination, strict=True))
+        return
+    low, high = zip(*cube.ranges.values(), strict=True)
+    unit = qmc.LatinHypercube(len(cube.ranges), rng=cube.seed).random(cube.samples)
+    for row in qmc.scale(unit, low, high):
+        yield dict(zip(cube.ranges, row.tolist(), strict=True))
+
+
+def all_trials(points: Sequence[Point], *, seeds: range, code: str) -> Iterator[Trial]:
+    """Trials of the points, in the order of the points."""
+    for point in points:
+        for seed in seeds:
+            text = f"{point.digest}|{seed}|{code}"
+            yield Trial(hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS], point, seed)
+
+
+def _plain(config: Config) -> dict[str, Any]:
+    """Config as what JSON makes of it, so that what is sent elsewhere and what is hashed are the same."""
+    return json.loads(json.dumps(asdict(config)))

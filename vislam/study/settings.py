@@ -1,0 +1,51 @@
+"""What can be set of a study."""
+
+from typing import Annotated, Any
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from vislam.fields import STRICT
+
+Count = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LatinHypercube:
+    """Points that fill a box evenly: each range is cut in as many parts as points, and each part has one.
+
+    McKay, Beckman and Conover, *A comparison of three methods for selecting values of input variables in the
+    analysis of output from a computer code*, Technometrics 21 (1979).
+    """
+
+    samples: Count
+    """Number of points."""
+    ranges: Annotated[dict[str, tuple[float, float]], Field(min_length=1)]
+    """Lowest and highest value, by dotted path in the config."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the points."""
+
+    def __post_init__(self) -> None:
+        """Refuse a range without a length."""
+        for path, (low, high) in self.ranges.items():
+            if not low < high:
+                raise ValueError(f"ranges.{path}: expected the lower value first, got {low:g} and {high:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class StudyConfig:
+    """A comparison repeated: every seed at every point."""
+
+    seeds: Count = 50
+    """Trials of a point: with the config's seed and those that follow it."""
+    grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """Values by dotted path in the config; each is combined with each."""
+    latin_hypercube: LatinHypercube | None = None
+    """Points in place of a grid."""
+    metrics: tuple[str, ...] = ()
+    """Metrics that ``trials.csv`` shows; empty: all. The files of the trials have them all."""
+
+    def __post_init__(self) -> None:
+        """Refuse two sets of points."""
+        if self.grid and self.latin_hypercube is not None:
+            raise ValueError("one of grid and latin_hypercube can be given, not both")
