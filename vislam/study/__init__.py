@@ -1,0 +1,1 @@
+"""Studies: many trials of one comparison, and what they say together."""
