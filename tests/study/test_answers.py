@@ -40,7 +40,7 @@ def test_a_consistent_estimator_is_taken_for_one_and_an_overconfident_one_is_not
         assert wrong.mean.low > 1.5
         assert wrong.beyond.low > 0.05
         assert right.beyond.value <= 0.05
-    # 38 of 40 are expected; fewer than 33 come once in five hundred times.
+    # 38 of 40 are expected; fewer than 33 come once in a thousand times.
     assert held >= 33
 
 
