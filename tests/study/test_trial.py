@@ -52,7 +52,8 @@ def test_an_incomplete_estimator_is_named_and_not_scored(tree, monkeypatch):
 
     monkeypatch.setattr(vislam.running.estimator, "run", stopped)
     found = run_trial(tree, 0)
-    assert (found["status"], found["reason"]) == ("failed", "ekf: frame 7: lost")
+    assert (found["status"], found["reason"]) == ("done", "ekf: frame 7: lost")
+    assert found["runs"]["ekf"] == {"complete": False, "error": "frame 7: lost"}
     assert {m["estimator"] for m in found["metrics"]} == {"dead_reckoning"}
 
 

@@ -2,22 +2,26 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from vislam import config as configuration
 from vislam.comparison import build_estimators, code_digest, provenance
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError
+from vislam.report.study_page import write_study_page
 from vislam.study.cluster import LOST, Cluster, run_trials
 from vislam.study.folder import StudyFolder
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig
 from vislam.study.summary import HEADER, rows_of
 from vislam.study.trial import DONE, FAILED
+from vislam.study.trials import Trials
 from vislam.terminal import Terminal
 
 SCHEMA_VERSION = 1
@@ -54,10 +58,6 @@ class Plan:
         """Every seed at every point."""
         first = self.config.seed
         return all_trials(self.points, seeds=range(first, first + self.study.seeds), code=code_digest())
-
-    def of_point(self, point: Point) -> Iterator[Trial]:
-        """Trials of one point."""
-        return replace(self, points=[point]).trials()
 
     @property
     def id(self) -> str:
@@ -114,27 +114,37 @@ def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials."""
     swept = tuple(plan.points[0].values)
     folder.write_table(plan.trials(), swept=swept, metrics=plan.study.metrics)
-    counts = dict.fromkeys((DONE, FAILED), 0)
-    rows: list[tuple[str, ...]] = []
-    for point in plan.points:
-        results = [found for trial in plan.of_point(point) if (found := folder.find(trial)) is not None]
-        for result in results:
-            counts[result["status"]] += 1
-        rows += rows_of(point, results)
-    lost = len(plan.points) * plan.study.seeds - sum(counts.values())
-    document = {
+    records = [
+        {"seed": trial.seed, "point": trial.point.values, **found}
+        for trial in plan.trials()
+        if (found := folder.find(trial)) is not None
+    ]
+    counts = Counter(record["status"] for record in records)
+    lost = len(plan.points) * plan.study.seeds - len(records)
+    document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "name": plan.config.name,
         "config": asdict(plan.config),
         "swept": swept,
         "points": len(plan.points),
         "seeds": plan.study.seeds,
-        "counts": {**counts, LOST: lost},
+        "counts": {DONE: counts[DONE], FAILED: counts[FAILED], LOST: lost},
         "provenance": provenance(),
     }
     folder.write_json(folder.path / "study.json", document)
-    terminal.rows(HEADER, rows, title=f"vislam {plan.config.name} [SIMULATED]")
+    title = f"vislam {plan.config.name} [SIMULATED]"
+    trials = Trials.of_records(records)
+    terminal.rows(HEADER, rows_of(trials), title=title)
+    write_study_page(
+        folder.path / "study.html",
+        title=title,
+        trials=trials,
+        notes=("SIMULATED: every trial is a simulated drive",),
+        config=configuration.dump(plan.config),
+        provenance="\n".join(f"{key}: {value}" for key, value in document["provenance"].items()),
+    )
     if lost:
         terminal.note(f"{lost} trials were lost with their workers; run the study again to repeat them")
     terminal.note(f"trials: {folder.path / 'trials.csv'}")
+    terminal.note(f"study: {folder.path / 'study.html'}")
     return lost

@@ -35,7 +35,7 @@ def run_trial(tree: Mapping[str, Any], seed: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``status`` and ``reason``; ``failed``, by estimator why it is incomplete; ``metrics`` and
+        ``status`` and ``reason``; ``runs``, by estimator whether it is complete and why not; ``metrics`` and
         ``statistics`` of the others; ``seconds``; ``code``, the digest of the code it ran with.
     """
     began = time.perf_counter()
@@ -49,7 +49,7 @@ def run_trial(tree: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 def nothing(status: str, reason: str) -> dict[str, Any]:
     """Result of a trial that measured nothing."""
-    return {"status": status, "reason": reason, "failed": {}, "metrics": [], "statistics": []}
+    return {"status": status, "reason": reason, "runs": {}, "metrics": [], "statistics": []}
 
 
 @contextmanager
@@ -67,14 +67,13 @@ def _unheard() -> Iterator[None]:
 def _measure(config: Config) -> dict[str, Any]:
     dataset = open_dataset(config.data, seed=config.seed)
     results = run_comparison(config, dataset, Terminal(quiet=True))
-    failed = {name: run.error for name, run in results.runs.items() if not run.complete}
     # An incomplete run has errors of the frames it finished: they are not those of the others.
     complete = {name: run for name, run in results.runs.items() if run.complete}
     evaluation = evaluate(complete, results.record)
     return {
-        "status": FAILED if failed else DONE,
-        "reason": "; ".join(f"{name}: {error}" for name, error in failed.items()),
-        "failed": failed,
+        "status": DONE,
+        "reason": "; ".join(f"{name}: {run.error}" for name, run in results.runs.items() if not run.complete),
+        "runs": {name: {"complete": run.complete, "error": run.error} for name, run in results.runs.items()},
         "metrics": [
             {"estimator": metric.estimator, "key": metric.key, "value": metric.value}
             for metric in evaluation.metrics

@@ -1,0 +1,39 @@
+"""Parts that pages are made of: texts of this package, figures and tables as HTML."""
+
+from importlib.resources import files
+
+from markupsafe import Markup, escape
+
+from vislam.report.figures import Drawing
+from vislam.report.shown import COLOURS
+from vislam.report.svg import themed_svg
+from vislam.report.table import Table
+
+
+def part(name: str) -> Markup:
+    """Text of a file of this package, which is not escaped."""
+    return Markup(files("vislam.report").joinpath(name).read_text("utf-8"))
+
+
+def inline_svg(name: str, drawing: Drawing) -> Markup:
+    """A figure as an element that says what it shows; ``name`` goes before its ids."""
+    svg = themed_svg(drawing.figure, name, colours=COLOURS)
+    label = escape(f"{drawing.title}: {drawing.caption}")
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
+
+
+def draw_table(table: Table, caption: str, kind: str) -> Markup:
+    """A table in a box of its own that scrolls; the first cell of a row is the row's header."""
+    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in table.rows
+    )
+    label = escape(caption)
+    return Markup(
+        f'<div class="wide" tabindex="0" role="group" aria-label="{label}, can be scrolled">'
+        f'<table class="{kind}" aria-label="{label}"><thead><tr>{header}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )

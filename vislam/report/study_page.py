@@ -1,0 +1,58 @@
+"""The self-contained page of a study."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jinja2
+
+from vislam.files import replace_whole
+from vislam.report.page_parts import draw_table, inline_svg, part
+from vislam.report.study_figures import all_figures
+from vislam.report.study_tables import (
+    consistency_table,
+    errors_table,
+    failed_table,
+    failures_table,
+    pairs_table,
+)
+from vislam.report.study_verdict import verdict
+from vislam.study.answers import CLAIMED, trial_bound
+from vislam.study.trials import Trials
+
+
+def write_study_page(
+    path: Path, *, title: str, trials: Trials, notes: Sequence[str], config: str, provenance: str
+) -> None:
+    """Write the page, whole or not at all; it needs no other file and no network.
+
+    Parameters
+    ----------
+    path : Path
+    title : str
+    trials : Trials
+    notes : sequence of str
+        Shown before the verdict.
+    config, provenance : str
+        Effective configuration of the study, and what it was run with.
+    """
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    text = environment.from_string(part("study.html")).render(
+        title=title,
+        notes=notes,
+        verdict=verdict(trials),
+        errors=errors_table(trials),
+        consistency=consistency_table(trials),
+        pairs=pairs_table(trials),
+        failures=failures_table(trials),
+        failed=failed_table(trials),
+        bound=f"{trial_bound():.2f}",
+        claimed=f"{100.0 * CLAIMED:.2f}",
+        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in all_figures(trials).items()],
+        config=config,
+        provenance=provenance,
+        draw=draw_table,
+        css=part("page.css"),
+        page_js=part("page.js"),
+    )
+    with replace_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

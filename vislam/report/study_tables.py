@@ -1,0 +1,98 @@
+"""The tables of a study: a row for each point and estimator."""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from vislam.report.study_labels import (
+    ERRORS,
+    TIME,
+    errors,
+    metric_label,
+    parameter_label,
+    percent,
+    plain,
+    with_interval,
+)
+from vislam.report.table import Table
+from vislam.study.answers import failure_rate, mean, median, paired, pooled_coverage, pooled_nees
+from vislam.study.trials import Trials
+from vislam.types import IntArray
+
+
+def failures_table(trials: Trials) -> Table:
+    """How many runs were carried out and how many of them did not finish."""
+    rows = []
+    for cells, name, at in _rows(trials):
+        rate = failure_rate(trials, name, rows=at)
+        done = int(np.count_nonzero(trials.done[at]))
+        failed = int(np.count_nonzero(trials.done[at] & ~trials.complete[name][at]))
+        rows.append([name, *cells, str(len(at)), str(len(at) - done), str(failed), percent(rate)])
+    header = ["trials", "failed as a whole", "failed runs", "failure rate"]
+    return Table([*_header(trials), *header], rows)
+
+
+def errors_table(trials: Trials) -> Table:
+    """Median of each error and of the time of a step, and the mean of the headline error."""
+    keys = errors(trials)
+    rows = []
+    for cells, name, at in _rows(trials):
+        medians = [median(trials, name, key, rows=at) for key in (*keys, TIME)]
+        first = mean(trials, name, keys[0], rows=at) if keys else None
+        told = [with_interval(first) if keys else "-", *map(with_interval, medians)]
+        rows.append([name, *cells, str(first.count if first else 0), *told])
+    header = ["trials with it", f"mean {metric_label(keys[0])}" if keys else "mean error"]
+    header += [*(f"median {metric_label(key)}" for key in keys), "median time of a step [ms]"]
+    return Table([*_header(trials), *header], rows)
+
+
+def consistency_table(trials: Trials) -> Table:
+    """NEES and coverage over trials, where some trial has them."""
+    rows = []
+    for cells, name, at in _rows(trials):
+        nees, coverage = pooled_nees(trials, name, rows=at), pooled_coverage(trials, name, rows=at)
+        if nees is not None:
+            told = [str(nees.mean.count), str(nees.mean.missing), with_interval(nees.mean)]
+            rows.append([name, *cells, *told, percent(nees.beyond), percent(coverage)])
+    header = ["trials", "missing", "NEES per degree of freedom", "trials beyond the bound"]
+    return Table([*_header(trials), *header, "errors within 3 sigma"], rows)
+
+
+def pairs_table(trials: Trials) -> Table:
+    """Each two estimators on the same trials, by the headline error."""
+    keys = errors(trials)[:1]
+    rows = []
+    for key in keys:
+        for (point, at), (one, other) in itertools.product(
+            trials.groups(), itertools.combinations(trials.complete, 2)
+        ):
+            found = paired(trials, one, other, key, rows=at)
+            if found is not None:
+                told = [str(found.difference.count), str(found.difference.missing)]
+                told += [with_interval(found.difference), percent(found.better), f"{found.p_value:.2g}"]
+                rows.append([f"{one} less {other}", *map(plain, point.values()), *told])
+    unit = ERRORS[keys[0]][1] if keys else ""
+    header = ["trials of both", "missing", f"mean difference [{unit}]", "first is better", "p"]
+    return Table(["estimators", *map(parameter_label, trials.point), *header], rows)
+
+
+def failed_table(trials: Trials) -> Table:
+    """Trials of which something failed, with the reason."""
+    rows = [
+        [str(trials.seed[row]), *(plain(values[row]) for values in trials.point.values()), reason]
+        for row, reason in enumerate(trials.reason)
+        if reason
+    ]
+    return Table(["seed", *map(parameter_label, trials.point), "reason"], rows)
+
+
+def _header(trials: Trials) -> list[str]:
+    return ["estimator", *map(parameter_label, trials.point)]
+
+
+def _rows(trials: Trials) -> Iterator[tuple[list[str], str, IntArray]]:
+    """Cells of the swept parameters, estimator and rows of each row of a table."""
+    for point, rows in trials.groups():
+        for name in trials.complete:
+            yield [plain(value) for value in point.values()], name, rows

@@ -1,0 +1,107 @@
+"""What a study comes to, in sentences: who fails, who is closest, who claims too much."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vislam.report.study_labels import (
+    ERRORS,
+    errors,
+    parameter_label,
+    percent,
+    point_label,
+    setting,
+    with_interval,
+)
+from vislam.study.answers import PooledNees, failure_rate, median, onset, paired, pooled_nees
+from vislam.study.trials import Trials, is_number
+
+_SURE = 0.05
+"""p-value under which a difference is more than luck."""
+
+
+def verdict(trials: Trials) -> list[str]:
+    """Sentences, the most important first."""
+    if not trials.complete:
+        return [_extent(trials), "No run was started, so there is nothing to tell."]
+    told = [_extent(trials), _failures(trials), _accuracy(trials)]
+    return [sentence for sentence in (*told, *(consistency(trials, n) for n in trials.complete)) if sentence]
+
+
+def _extent(trials: Trials) -> str:
+    points = len(trials.groups())
+    swept = " and ".join(f"{parameter_label(path)} ({len(trials.levels(path))})" for path in trials.point)
+    told = f"{len(trials)} trials" + (f" at {points} points, over {swept}" if swept else "")
+    lost = int(np.count_nonzero(~trials.done))
+    return f"{told}; {lost} of them failed as a whole." if lost else f"{told}, all of them carried out."
+
+
+def _failures(trials: Trials) -> str:
+    rows = np.arange(len(trials))
+    rates = {name: failure_rate(trials, name, rows=rows) for name in trials.complete}
+    told = [
+        f"{name} {percent(rate)}" for name, rate in rates.items() if rate is not None and rate.value > 0.0
+    ]
+    return f"Runs that did not finish: {', '.join(told)}." if told else "Every run finished."
+
+
+def _accuracy(trials: Trials) -> str:
+    """Say who errs least, and whether that is more than luck."""
+    if not errors(trials):
+        return ""
+    key, rows = errors(trials)[0], np.arange(len(trials))
+    title, unit = ERRORS[key]
+    found = {name: median(trials, name, key, rows=rows) for name in trials.complete}
+    known = {name: one for name, one in found.items() if one is not None}
+    ranked = sorted(known, key=lambda name: known[name].value)
+    listed = ", ".join(f"{name} {with_interval(known[name], unit)}" for name in ranked)
+    told = f"Median {title} over all trials that finished: {listed}"
+    pair = paired(trials, ranked[0], ranked[1], key, rows=rows) if len(ranked) > 1 else None
+    if pair is None:
+        return f"{told}."
+    first, second = ranked[:2]
+    if pair.p_value > _SURE:
+        return f"{told}; on the same trials {first} and {second} cannot be told apart (p {pair.p_value:.2g})."
+    return (
+        f"{told}; on the same trials {first} less {second} is {with_interval(pair.difference, unit)}, and "
+        f"{first} is better in {percent(pair.better)} (p {pair.p_value:.1g})."
+    )
+
+
+def consistency(trials: Trials, name: str) -> str:
+    """Say whether, and from where on, an estimator claims too much; nothing if no trial can tell."""
+    groups = trials.groups()
+    found = [pooled_nees(trials, name, rows=rows) for _, rows in groups]
+    labels = [point_label(point) for point, _ in groups]
+    told = {label: one for label, one in zip(labels, found, strict=True) if one is not None}
+    if not told:
+        return ""
+    over = [label for label, one in told.items() if one.mean.low > 1.0]
+    under = [label for label, one in told.items() if one.mean.high < 1.0]
+    if not trials.point:
+        word = "is overconfident" if over else "claims less than it knows" if under else "is consistent"
+        return f"{name} {word}: NEES {with_interval(told[labels[0]].mean)}, 1 expected."
+    from_on = _onset(trials, name, found)
+    if from_on:
+        return from_on
+    if over:
+        worst = max(over, key=lambda label: told[label].mean.value)
+        number = with_interval(told[worst].mean)
+        return (
+            f"{name} is overconfident at {len(over)} of {len(told)} points, most at {worst}: NEES {number}."
+        )
+    less = f"; at {len(under)} it claims less than it knows" if under else ""
+    return f"{name} is not seen to be overconfident at any of {len(told)} points{less}."
+
+
+def _onset(trials: Trials, name: str, found: Sequence[PooledNees | None]) -> str:
+    """Say from which value of the one swept parameter on an estimator is overconfident, if from any."""
+    path = next(iter(trials.point))
+    values, place = trials.levels(path), onset(found)
+    if len(trials.point) != 1 or place is None or not all(is_number(value) for value in values):
+        return ""
+    first = found[place]
+    assert first is not None
+    lowest = ", the lowest value" if place == 0 else ""
+    at = setting(path, values[place])
+    return f"{name} is overconfident from {at} on{lowest}: NEES {with_interval(first.mean)}."

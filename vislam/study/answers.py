@@ -1,0 +1,129 @@
+"""What a study answers: who fails how often, who errs how much, who claims too much, who is better.
+
+Trials are independent of each other; the times within one are not. So a trial counts once, with its average,
+however many frames it has.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, wilcoxon
+
+from vislam.study.intervals import Estimate, bootstrap, share, student_mean
+from vislam.study.trials import Trials
+from vislam.types import IntArray
+
+NEES = "nees_pose"
+"""Statistic that speaks for consistency; it needs a truth, which simulated trials have."""
+_FREEDOM = 6
+COVERAGE = "coverage_pose_3sigma"
+CLAIMED = 0.9973
+"""Share of the errors that three standard deviations of a normal distribution hold."""
+
+
+@dataclass(frozen=True)
+class PooledNees:
+    """Consistency of an estimator over trials.
+
+    Attributes
+    ----------
+    mean : Estimate
+        Mean over trials of their NEES per degree of freedom, with Student's interval; 1 is expected.
+    beyond : Estimate
+        Share of trials beyond :func:`trial_bound`; 0.05 at most is expected.
+    """
+
+    mean: Estimate
+    beyond: Estimate
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Two estimators on the same trials, by a metric of which less is better.
+
+    Attributes
+    ----------
+    difference : Estimate
+        Mean of the first less the second, with its bootstrap interval; below 0 the first is better.
+    better : Estimate
+        Share of the trials in which the first is better, a tie counting half.
+    p_value : float
+        Of Wilcoxon's signed-rank test (Biometrics Bulletin 1945): chance of as much if neither were better.
+    """
+
+    difference: Estimate
+    better: Estimate
+    p_value: float
+
+
+def failure_rate(trials: Trials, name: str, *, rows: IntArray) -> Estimate | None:
+    """Share of runs that did not finish, of the trials that were carried out; None if none was."""
+    done = rows[trials.done[rows]]
+    if not len(done):
+        return None
+    found = share(float(np.count_nonzero(~trials.complete[name][done])), len(done))
+    return Estimate(found.value, found.low, found.high, len(done), len(rows) - len(done))
+
+
+def mean(trials: Trials, name: str, key: str, *, rows: IntArray) -> Estimate | None:
+    """Mean of a metric over the trials that have it."""
+    return bootstrap(trials.value(name, key)[rows], np.mean)
+
+
+def median(trials: Trials, name: str, key: str, *, rows: IntArray) -> Estimate | None:
+    """Median of a metric over the trials that have it."""
+    return bootstrap(trials.value(name, key)[rows], np.median)
+
+
+def trial_bound() -> float:
+    """Bound under which the NEES per degree of freedom of a consistent trial lies with 95 % or more.
+
+    The bound of one pose: if the errors of a trial stay the same throughout, its average tells no more than
+    that; if they change, the average lies closer to 1.
+    """
+    return float(chi2.ppf(0.95, _FREEDOM)) / _FREEDOM
+
+
+def pooled_nees(trials: Trials, name: str, *, rows: IntArray) -> PooledNees | None:
+    """Consistency over trials, from the average NEES of each; None if no trial has one."""
+    values = trials.value(name, NEES)[rows]
+    found = student_mean(values)
+    if found is None:
+        return None
+    return PooledNees(found, share(float(np.count_nonzero(values > trial_bound())), found.count))
+
+
+def pooled_coverage(trials: Trials, name: str, *, rows: IntArray) -> Estimate | None:
+    """Share of the errors within three standard deviations as claimed, mean over trials."""
+    return mean(trials, name, COVERAGE, rows=rows)
+
+
+def paired(trials: Trials, one: str, other: str, key: str, *, rows: IntArray) -> Paired | None:
+    """Compare two estimators on the trials that both finished; None if there is none."""
+    difference = (trials.value(one, key) - trials.value(other, key))[rows]
+    found = bootstrap(difference, np.mean)
+    if found is None:
+        return None
+    known = difference[np.isfinite(difference)]
+    hits = np.count_nonzero(known < 0.0) + 0.5 * np.count_nonzero(known == 0.0)
+    # Differences of 0 tell nothing, and with nothing else the test has nothing to rank.
+    p_value = float(wilcoxon(known).pvalue) if known.any() else 1.0
+    return Paired(found, share(float(hits), len(known)), p_value)
+
+
+def onset(found: Sequence[PooledNees | None]) -> int | None:
+    """First of the points from which on an estimator is overconfident; None if there is none.
+
+    From there on every interval of the mean lies above 1. Points where no trial finished tell nothing and
+    are passed over.
+    """
+    first = None
+    for place, nees in enumerate(found):
+        if nees is None:
+            continue
+        if not nees.mean.low > 1.0:
+            first = None
+        elif first is None:
+            first = place
+    return first

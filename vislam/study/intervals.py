@@ -1,0 +1,88 @@
+"""Intervals of what independent trials have in common: a share, a mean, a median."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm, t
+
+from vislam.types import Array
+
+PROBABILITY = 0.95
+"""Probability with which an interval is to hold the truth."""
+_RESAMPLES = 4000
+_SEED = 1927
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number of many trials and its 95 % interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+        The ends are NaN where one trial alone cannot tell them.
+    count : int
+        Trials that it rests on.
+    missing : int
+        Trials that had nothing to add: the run failed, or the metric could not be computed.
+    """
+
+    value: float
+    low: float
+    high: float
+    count: int
+    missing: int = 0
+
+
+def share(hits: float, count: int) -> Estimate:
+    """Share of ``count > 0`` independent trials, with the interval of Wilson (JASA 1927).
+
+    A hit may count half, as a tie does.
+    """
+    z = float(norm.isf(0.5 * (1.0 - PROBABILITY)))
+    found = hits / count
+    shrunk = (hits + 0.5 * z**2) / (count + z**2)
+    half = z * np.sqrt(count * found * (1.0 - found) + 0.25 * z**2) / (count + z**2)
+    # At a share of 0 or 1 rounding would put the end beside it.
+    low, high = min(found, float(shrunk - half)), max(found, float(shrunk + half))
+    return Estimate(found, max(0.0, low), min(1.0, high), count)
+
+
+def student_mean(values: Array) -> Estimate | None:
+    """Mean of trials ``(n,)``, NaN where missing, with Student's interval; None if all are missing."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    mean, half, missing = float(known.mean()), np.nan, len(values) - len(known)
+    if len(known) > 1:
+        quantile = t.isf(0.5 * (1.0 - PROBABILITY), len(known) - 1)
+        half = float(quantile * known.std(ddof=1) / np.sqrt(len(known)))
+    return Estimate(mean, mean - half, mean + half, len(known), missing)
+
+
+def bootstrap(values: Array, statistic: Callable[..., Any]) -> Estimate | None:
+    """Statistic of trials ``(n,)``, NaN where missing, with its bootstrap interval; None if all are missing.
+
+    The expanded percentile interval of Hesterberg (What teachers should know about the bootstrap, The
+    American Statistician 2015): the plain one is too short for few trials. The same trials give the same
+    interval.
+
+    Parameters
+    ----------
+    values : (n,)
+    statistic : callable
+        ``np.mean`` or ``np.median``: takes values and an axis.
+    """
+    known = values[np.isfinite(values)]
+    count = len(known)
+    if not count:
+        return None
+    low, high = np.nan, np.nan
+    if count > 1:
+        drawn = np.random.default_rng(_SEED).integers(0, count, (_RESAMPLES, count))
+        quantile = t.isf(0.5 * (1.0 - PROBABILITY), count - 1)
+        tail = norm.sf(np.sqrt(count / (count - 1.0)) * quantile)
+        low, high = np.quantile(statistic(known[drawn], axis=1), [tail, 1.0 - tail])
+    return Estimate(float(statistic(known)), float(low), float(high), count, len(values) - count)
