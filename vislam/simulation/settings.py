@@ -40,8 +40,10 @@ class SimulationConfig:
     """Number of frames."""
     period: Positive = 0.1046
     """Time between frames [s]."""
-    path: Literal["town", "straight", "loop"] = "town"
-    """Shape of the drive: a town drive with turns and changes of speed, a straight line, a circle."""
+    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix"] = "town"
+    """Shape of the drive. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
+    circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
+    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade."""
     speed: Positive = 12.7
     """Mean speed [m/s]."""
     hills_m: NonNegative = 4.0
