@@ -16,7 +16,7 @@ _MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000
 _MOST_DIMENSIONS = 4
 _CHUNK_VALUES = 1 << 20
-_LARGEST_BYTES = 1 << 33
+LARGEST_BYTES = 1 << 33
 """Largest array [bytes], unpacked; the largest recording has 1.3e9. A small file can claim far more."""
 _DESCR = re.compile(r"""['"]descr['"]\s*:\s*['"]([^'"]*)['"]""")
 _ORDER = re.compile(r"""['"]fortran_order['"]\s*:\s*(True|False)""")
@@ -84,8 +84,8 @@ def open_array(archive: zipfile.ZipFile, name: str) -> PackedArray:
     expected, got = array.size * array.dtype.itemsize, information.file_size - stream.tell()
     if expected != got:
         raise ArrayError(f"{expected:.6g} bytes long as its shape {shape} says", f"{got} bytes")
-    if expected > _LARGEST_BYTES:
-        raise ArrayError(f"at most {_LARGEST_BYTES:.2g} bytes long", f"{expected:.2g} bytes, shape {shape}")
+    if expected > LARGEST_BYTES:
+        raise ArrayError(f"at most {LARGEST_BYTES:.2g} bytes long", f"{expected:.2g} bytes, shape {shape}")
     return array
 
 

@@ -27,8 +27,8 @@ class Reference:
         True landmarks of a simulation [m]; empty elsewhere.
     sigma : float
         Standard deviation of its own positions, as far as is known [m].
-    bias : (6,) or None
-        True bias of a simulation's inertial samples (omega, v) [rad/s, m/s].
+    bias : (6,), (T, 6) or None
+        True bias of a simulation's inertial samples (omega, v) [rad/s, m/s]; at each frame if it walks.
     """
 
     name: str
@@ -58,8 +58,8 @@ def truth_reference(
     world_T_imu : (T, 4, 4)
     track, points_world : (j,), (j, 3)
         True landmarks [m].
-    bias : (6,), optional
-        True bias of the inertial samples (omega, v) [rad/s, m/s].
+    bias : (6,) or (T, 6), optional
+        True bias of the inertial samples (omega, v) [rad/s, m/s]; at each frame if it walks.
     """
     return Reference(
         name="truth",

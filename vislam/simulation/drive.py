@@ -22,8 +22,8 @@ class Truth:
     Attributes
     ----------
     world_T_imu : (T, 4, 4)
-    bias : (6,)
-        Bias of the inertial samples (omega, v) [rad/s, m/s].
+    bias : (6,) or (T, 6)
+        Bias of the inertial samples (omega, v) [rad/s, m/s]; at each frame if it walks.
     points_world : (n, 3)
         The point that each observation of the unrepaired sequence saw [m]; a stale observation
         counts for the point that is followed from there on.
@@ -59,17 +59,20 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
     upright = se3.from_rotation_translation(world_T_imu[0, :3, :3], np.zeros(3))
     rig = stereo_rig(config)
 
-    bias = np.array([*config.gyro_bias, *config.velocity_bias])
     by_step = config.inertial_noise == "step"
     clean = _step_twist(config, stamp, world_T_imu) if by_step else _sampled_twist(config, stamp, path)
     sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
-    twist = clean + bias + sigma * generator.standard_normal(clean.shape)
+    sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
+    noise = sigma * generator.standard_normal(clean.shape)
+    tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
+    # Drawn last, so that a walk changes nothing but the bias.
+    bias = _bias(config, generator)
+    twist = clean + (bias if bias.ndim == 1 else bias[: len(clean)]) + noise
     inertial_stamp = stamp
     if by_step:
         inertial_stamp, twist = piecewise_constant(stamp, twist)
         inertial_stamp = inertial_stamp + config.clock_offset
 
-    tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
     start = upright @ origin
     sequence = Sequence(
         name=name,
@@ -91,6 +94,16 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
         },
     )
     return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world))
+
+
+def _bias(config: SimulationConfig, generator: np.random.Generator) -> Array:
+    """Bias ``(6,)`` or, if it walks, at each frame ``(T, 6)``, kept through the step that follows."""
+    constant = np.array([*config.gyro_bias, *config.velocity_bias])
+    walk = np.repeat([config.gyro_bias_walk, config.velocity_bias_walk], 3)
+    if not walk.any():
+        return constant
+    steps = np.sqrt(config.period) * walk * generator.standard_normal((config.frames - 1, 6))
+    return np.asarray(constant + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)]))
 
 
 def _sampled_twist(config: SimulationConfig, stamp: Array, path: DrivePath) -> Array:

@@ -40,8 +40,10 @@ class SimulationConfig:
     """Number of frames."""
     period: Positive = 0.1046
     """Time between frames [s]."""
-    path: Literal["town", "straight", "loop"] = "town"
-    """Shape of the drive: a town drive with turns and changes of speed, a straight line, a circle."""
+    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix"] = "town"
+    """Shape of the drive. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
+    circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
+    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade."""
     speed: Positive = 12.7
     """Mean speed [m/s]."""
     hills_m: NonNegative = 4.0
@@ -64,10 +66,16 @@ class SimulationConfig:
     """Chance that an observation is off by up to 50 px."""
     stale_probability: Probability = 0.0
     """Chance that a frame is stale: tracks repeat their pixels and follow other points afterwards."""
+    dropped_probability: Probability = 0.0
+    """Chance that a frame after the first comes without observations; tracks go on behind it."""
     gyro_bias: Vector3 = (0.0, 0.0, 0.0)
     """Constant bias of the angular velocity [rad/s]."""
     velocity_bias: Vector3 = (0.0, 0.0, 0.0)
     """Constant bias of the velocity [m/s]."""
+    gyro_bias_walk: NonNegative = 0.0
+    """Random walk of the bias of the angular velocity, which then begins at the constant [rad/s/sqrt(s)]."""
+    velocity_bias_walk: NonNegative = 0.0
+    """The same of the velocity's [m/s/sqrt(s)]."""
     gyro_sigma: NonNegative = 0.002
     """White noise of an angular velocity sample [rad/s]."""
     velocity_sigma: NonNegative = 0.02

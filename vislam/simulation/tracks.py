@@ -72,8 +72,12 @@ def simulate_tracks(
     )
     born, lengths = 0, []
     written: list[tuple[IntArray, Array, Array]] = []
+    dropped = False
     for k, pose in enumerate(world_T_cam):
         stale = k > 0 and len(alive.track) > 0 and generator.random() < config.stale_probability
+        before, dropped = dropped, k > 0 and _happens(config.dropped_probability, generator)
+        # What is not written is not repeated.
+        stale = stale and not (before or dropped)
         alive.keep(generator.random(len(alive.track)) >= config.loss_probability)
         alive.point = alive.point + config.period * alive.velocity
         alive.slip = alive.slip + config.drift_px * generator.standard_normal(alive.slip.shape)
@@ -87,11 +91,17 @@ def simulate_tracks(
         )
         alive.add(_births(config, rig, pose, first=born, count=missing, generator=generator))
         born += missing
-        lengths.append(len(alive.track))
-        written.append((alive.track, alive.pixels, alive.point))
+        seen = slice(0 if dropped else None)
+        lengths.append(len(alive.track[seen]))
+        written.append((alive.track[seen], alive.pixels[seen], alive.point[seen]))
     track, pixels, points = (np.concatenate(part) for part in zip(*written, strict=True))
     offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     return Tracks(offset, track, pixels, points)
+
+
+def _happens(probability: float, generator: np.random.Generator) -> bool:
+    """Draw, unless the chance is none: what is switched off takes no number from the generator."""
+    return probability > 0.0 and generator.random() < probability
 
 
 def _births(

@@ -1,0 +1,164 @@
+"""The shapes of simulated drives: where they turn, stop, close and climb; old ones stay as they are."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vislam.geometry import se3
+from vislam.simulation import SimulationConfig, simulate
+from vislam.simulation.path import DrivePath
+
+DRIVE = SimulationConfig(frames=1010, speed=9.0)
+PATHS = ("town", "straight", "loop", "urban", "figure_eight", "highway", "helix")
+FAULTY = {
+    "inertial_noise": "step",
+    "stale_probability": 0.1,
+    "moving_share": 0.1,
+    "drift_px": 0.2,
+    "match_px": 0.3,
+    "outlier_probability": 0.02,
+    "levelled_velocity": True,
+    "clock_offset": 0.03,
+}
+# Of everything that a simulation gives, to 1e-4, written down before other paths and settings came.
+DIGESTS = {
+    ("town", False): "5476edb2cc5418a3",
+    ("town", True): "58c23c062c4b7435",
+    ("straight", False): "1040e4914ff852f6",
+    ("straight", True): "2d709e7619646c95",
+    ("loop", False): "c0f810d030bc2bf5",
+    ("loop", True): "57803cf92afdd147",
+}
+
+
+def fine(config, *, seed=1, step=0.01):
+    """Times every 10 ms and the path there."""
+    path = DrivePath(config, np.random.default_rng(seed))
+    return np.arange(0.0, config.frames * config.period, step), path
+
+
+def way(path, time):
+    """Places in the plane and steps of the point that moves straight ahead, a metre behind the body [m]."""
+    pose = path.pose(time)
+    ahead = pose[:, :2, 0] / np.linalg.norm(pose[:, :2, 0], axis=1, keepdims=True)
+    rear = pose[:, :2, 3] - ahead
+    return rear, np.linalg.norm(np.diff(rear, axis=0), axis=1)
+
+
+def digest(config):
+    sequence, truth = simulate(config, seed=7, name="s")
+    parts = (
+        sequence.twist,
+        sequence.pixels,
+        sequence.track,
+        sequence.inertial_stamp,
+        truth.world_T_imu,
+        truth.points_world,
+        truth.bias,
+    )
+    rounded = [(np.round(np.asarray(part, float), 4) + 0.0).tobytes() for part in parts]
+    return hashlib.sha256(b"".join(rounded)).hexdigest()[:16]
+
+
+@pytest.mark.parametrize(("path", "faulty"), sorted(DIGESTS))
+def test_old_paths_and_settings_simulate_what_they_always_did(path, faulty):
+    config = SimulationConfig(frames=60, path=path, tracks_in_view=20, **(FAULTY if faulty else {}))
+    assert digest(config) == DIGESTS[path, faulty]
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_the_twist_integrates_to_the_pose(name):
+    time, path = fine(replace(DRIVE, path=name, frames=400))
+    half = 0.5 * np.diff(time)
+    # Midpoint rule: a step of 10 ms is off by some 1e-7.
+    step = se3.exp(path.twist(time[:-1] + half) * 2.0 * half[:, None])
+    wanted = se3.inverse(path.pose(time[:-1])) @ path.pose(time[1:])
+    assert np.abs(se3.local(wanted, step)).max() < 5e-7
+    pose = path.pose(time[:1])[0]
+    for change in step:
+        pose = pose @ change
+    assert np.abs(se3.local(path.pose(time[-1:])[0], pose)).max() < 1e-4
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_the_twist_is_bounded_and_continuous(name):
+    time, path = fine(replace(DRIVE, path=name))
+    twist = path.twist(time)
+    assert np.abs(twist[:, :3]).max() < 1.2
+    # Within 10 ms: 1 rad/s^2 and, with the metre from axle to body, 6 m/s^2, the hardest braking there is.
+    assert np.abs(np.diff(twist[:, :3], axis=0)).max() < 0.02
+    assert np.abs(np.diff(twist[:, 3:], axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["urban", "figure_eight", "highway", "helix"])
+def test_the_mean_speed_is_the_configured_one(name):
+    time, path = fine(replace(DRIVE, path=name, hills_m=0.0))
+    _, driven = way(path, time)
+    assert driven.sum() / time[-1] == pytest.approx(DRIVE.speed, rel=0.03 if name == "highway" else 2e-3)
+
+
+def test_an_urban_drive_turns_by_right_angles_and_drives_straight_between():
+    time, path = fine(replace(DRIVE, path="urban", hills_m=0.0))
+    pose = path.pose(time)
+    heading = np.unwrap(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))
+    straight = np.abs(np.gradient(heading, time)) < 1e-4
+    quarters = heading[straight] / (np.pi / 2.0)
+    assert straight.mean() > 0.6
+    assert np.abs(quarters - np.round(quarters)).max() < 1e-3
+    turns = np.diff(np.round(quarters))
+    assert set(np.abs(turns[turns != 0.0])) == {1.0}
+    assert np.count_nonzero(turns) >= 4
+
+
+def test_an_urban_drive_stands_still_before_some_turns_and_drives_through_others():
+    time, path = fine(replace(DRIVE, path="urban"))
+    twist = path.twist(time)
+    standing = np.abs(twist).max(axis=1) < 1e-9
+    stops = np.count_nonzero(np.diff(standing.astype(int)) == 1)
+    turning = np.abs(twist[:, 2]) > 0.1
+    turns = np.count_nonzero(np.diff(turning.astype(int)) == 1)
+    assert 2 <= stops < turns
+    # Each stands for 2.5 s, up to one that the end may cut.
+    assert 2.5 * (stops - 1) - 0.1 < 0.01 * standing.sum() < 2.5 * stops + 0.1 * stops
+    assert not np.any(standing & turning)
+
+
+def test_a_figure_eight_closes_and_crosses_itself_once():
+    config = replace(DRIVE, path="figure_eight", hills_m=0.0)
+    time, path = fine(config)
+    end = np.array([0.0, config.frames * config.period])
+    start, finish = path.pose(end)
+    gap = finish[:2, 3] - start[:2, 3]
+    assert np.abs(gap).max() < 1e-6 * config.speed * end[1]
+    rear, _ = way(path, time)
+    # It comes to where it began half-way and at the end.
+    near = np.linalg.norm(rear - rear[0], axis=1) < 1.0
+    visits = np.count_nonzero(np.diff(near.astype(int)) == 1)
+    assert visits == 2
+    rate = path.twist(time)[:, 2]
+    assert rate.max() > 0.05
+    assert rate.min() < -0.05
+
+
+def test_a_helix_climbs_by_six_percent_and_comes_round_three_times():
+    time, path = fine(replace(DRIVE, path="helix", hills_m=0.0))
+    rear, driven = way(path, time)
+    pose = path.pose(time)
+    heading = np.unwrap(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))
+    assert (heading[-1] - heading[0]) / (2.0 * np.pi) == pytest.approx(3.0, rel=1e-3)
+    assert (pose[-1, 2, 3] - pose[0, 2, 3]) / driven.sum() == pytest.approx(0.06, rel=1e-3)
+    assert path.climb_rate(time) == pytest.approx(0.06 * DRIVE.speed, rel=1e-6)
+    third = len(time) // 3
+    assert np.linalg.norm(rear[third] - rear[0]) < 0.5
+
+
+def test_a_highway_curves_gently():
+    time, path = fine(replace(DRIVE, path="highway", speed=33.0))
+    twist = path.twist(time)
+    # Less than the comfort limit of 1 m/s^2 sideways.
+    assert np.abs(twist[:, 2] * twist[:, 3]).max() < 1.0
+    assert twist[:, 3].min() > 30.0
+    pose = path.pose(time)
+    assert np.ptp(np.unwrap(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))) > 0.2
