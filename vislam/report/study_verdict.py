@@ -79,7 +79,8 @@ def consistency(trials: Trials, name: str) -> str:
     over = [label for label, one in told.items() if one.mean.low > 1.0]
     under = [label for label, one in told.items() if one.mean.high < 1.0]
     if not trials.point:
-        word = "is overconfident" if over else "claims less than it knows" if under else "is consistent"
+        fair = "is not seen to be inconsistent"
+        word = "is overconfident" if over else "claims less than it knows" if under else fair
         return f"{name} {word}: NEES {with_interval(told[labels[0]].mean)}, 1 expected."
     from_on = _onset(trials, name, found)
     if from_on:
