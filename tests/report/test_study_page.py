@@ -1,0 +1,69 @@
+"""The page of a study: whole, of its own and safe, whatever was swept and whatever failed."""
+
+import re
+
+import pytest
+
+from tests.report.test_page import EVIL, Elements
+from tests.study.synthetic import lost, record, study
+from vislam.report.study_figures import all_figures
+from vislam.report.study_page import write_study_page
+from vislam.study.trials import Trials
+
+PIXELS = {"noise.pixel_sigma_px": [0.25, 0.5, 1.0]}
+FORMS = {**PIXELS, "gates_from": ["ekf", None]}
+
+
+def page(folder, records, **changes):
+    parts = {"title": "study", "notes": (), "config": "name: study", "provenance": "code: 1", **changes}
+    write_study_page(folder / "study.html", trials=Trials.of_records(records), **parts)
+    return (folder / "study.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("sweep", "wanted"),
+    [
+        ({}, {"nees", "cost"}),
+        (PIXELS, {"response", "nees", "cost"}),
+        (FORMS, {"response", "heat_map", "nees", "cost"}),
+    ],
+    ids=["seeds", "one parameter", "two parameters"],
+)
+def test_each_kind_of_study_has_its_figures(sweep, wanted):
+    assert set(all_figures(Trials.of_records(study(sweep, seeds=5)))) == wanted
+
+
+def test_the_page_is_whole_and_fetches_nothing(tmp_path):
+    records = study(PIXELS, overconfident=lambda point: 5.0 if point["noise.pixel_sigma_px"] > 0.4 else 1.0)
+    text = page(tmp_path, records)
+    elements = Elements(text)
+    assert not elements.open
+    assert not re.search("https?:", text)
+    assert "ekf is overconfident from pixel sigma 0.5 px on" in text
+    assert [tag for tag, _ in elements.found if tag == "h1"] == ["h1"]
+    assert len(elements.all("svg")) == len(elements.all("figure")) == 3
+    assert "default-src 'none'" in text
+    assert text == page(tmp_path, records)
+
+
+def test_what_failed_is_listed_with_its_reason(tmp_path):
+    values = {"ekf": {"ate_rmse": 1.0}, "isam2": {"ate_rmse": 1.0}}
+    records = [record(seed, {}, values, failed=("ekf",) if seed == 2 else ()) for seed in range(4)]
+    text = page(tmp_path, [*records, lost(4, {}, "disk full")])
+    assert "ekf: diverged" in text
+    assert "disk full" in text
+    assert "25 %" in text
+    assert 'id="figure-failures"' in text
+
+
+def test_nothing_finished_is_a_page_too(tmp_path):
+    text = page(tmp_path, [lost(seed, {}, "no landmarks") for seed in range(3)])
+    assert not Elements(text).open
+    assert "no landmarks" in text
+
+
+def test_names_reasons_and_notes_are_text(tmp_path):
+    records = [record(0, {EVIL: EVIL}, {EVIL: {"ate_rmse": 1.0}}), lost(1, {EVIL: EVIL}, EVIL)]
+    text = page(tmp_path, records, title=EVIL, notes=(EVIL,), config=EVIL, provenance=EVIL)
+    assert "<script>alert" not in text
+    assert not Elements(text).open
