@@ -1,8 +1,8 @@
 """The report's visual-inertial SLAM (section III-D), with every trait that made it fail as a switch.
 
-One dense filter of the pose and all landmarks so far, eqs. (25) to (29). As its options stand it is the report's;
-with all of them mended it is the plain joint EKF (``DenseFilter``, ``ekf`` with ``track_errors: independent``), which
-the tests hold it to. What was wrong with the data rather than the filter, is switched in ``data.repair``.
+One dense filter of the pose and all landmarks so far, eqs. (25) to (29). As its options stand it is the
+report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors: independent``), which the
+tests hold it to. What was wrong with the data rather than with the filter is switched in ``data.repair``.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,6 @@ from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.fields import STRICT, Positive
 from vislam.geometry import se3, so3
 from vislam.motion import BIAS, NAV, POSE
-from vislam.sensors import StereoRig
 from vislam.types import Array, BoolArray, IntArray
 
 _SHARES = np.array([1.0, 1.0, 0.5])
@@ -37,8 +36,8 @@ class ReportEkfOptions:
     """Traits of the filter; each default is the report's."""
 
     jacobian: Literal["as_printed", "without_sign", "derived"] = "as_printed"
-    """Derivative of a sighting by the pose. ``as_printed``: eq. (26), without its sign and with the pose where
-    its inverse belongs. ``without_sign``: with the inverse. ``derived``: with both."""
+    """Derivative of a sighting by the pose. ``as_printed``: eq. (26), without its sign and with the pose
+    where its inverse belongs. ``without_sign``: with the inverse. ``derived``: with both."""
     covariance: Literal["as_printed", "joseph"] = "as_printed"
     """``as_printed``: (I - K H) P, which is a covariance for the optimal gain and exact arithmetic only.
     ``joseph``: the form that stays positive (Bucy and Joseph 1968), kept symmetric: what rounding adds of an
@@ -65,8 +64,8 @@ class ReportEkfOptions:
     every: Annotated[int, Field(ge=1)] = 20
     """One track in so many is used."""
     finished: Literal["kept", "dropped"] = "kept"
-    """What becomes of a landmark whose track has ended: it stays, as in the report, or it leaves the state with
-    what is known of it. The poses are the same; the time is not: a step costs the cube of the state."""
+    """What becomes of a landmark whose track has ended: it stays, as in the report, or it leaves the state
+    with what is known of it. The poses are the same; the time is not: a step costs the cube of the state."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "ReportEkf":
@@ -147,7 +146,7 @@ class ReportEkf:
 
     def _predict(self, frame: Frame) -> None:
         """Eq. (25), with the bias added."""
-        # Samples lie at the frames and are joined by straight lines, so half the change leads back to the first.
+        # Samples lie at the frames and are joined by straight lines: half the change leads back to the first.
         first = frame.twist - 0.5 * frame.twist_change
         twist = first if self._options.integration == "first" else frame.twist
         step = motion.integrate(twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
@@ -236,7 +235,7 @@ class ReportEkf:
         self._grow(frame.track[rows], points, np.zeros((len(points) * 3, len(self.cov))), prior)
 
     def _append_correlated(self, frame: Frame, rows: IntArray) -> None:
-        """Place new landmarks at their first sighting, with the covariance that pose and sighting give them."""
+        """Place new landmarks at their first sighting, with the covariance of pose and sighting."""
         rig, z = self._problem.rig, frame.z[rows]
         in_imu = se3.transform(rig.imu_T_cam, rig.back_project(z))
         rotation = self.world_T_imu[:3, :3]
