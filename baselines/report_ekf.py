@@ -1,8 +1,8 @@
 """The report's visual-inertial SLAM (section III-D), with every trait that made it fail as a switch.
 
 One dense filter of the pose and all landmarks so far, eqs. (25) to (29). As its options stand it is the
-report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors: independent``), which the
-tests hold it to. What was wrong with the data rather than with the filter is switched in ``data.repair``.
+report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors: independent``), as
+tests show. What was wrong with the data rather than with the filter is switched in ``data.repair``.
 """
 
 from collections.abc import Mapping

@@ -5,7 +5,8 @@ import platform
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from vislam.checks.judge import read_checklist
 from vislam.config import Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
-from vislam.estimator import ClimbNoise, Estimator, Problem
+from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
 from vislam.files import check_writable
 from vislam.frozen import FrozenList
@@ -205,8 +206,12 @@ def _cpu() -> str:
 
 @cache
 def code_digest() -> str:
-    """Hash of the package's own source, so that a changed estimator gets a folder of its own."""
+    """Hash of the source, estimators from elsewhere included, so that changed code gets a folder of its own."""
+    packages = {__package__, *(entry.value.partition(".")[0] for entry in entry_points(group=GROUP))}
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
+    for package in sorted(packages):
+        found = find_spec(package)
+        for folder in [] if found is None else sorted(found.submodule_search_locations or []):
+            for path in sorted(Path(folder).rglob("*.py")):
+                digest.update(path.read_bytes())
     return digest.hexdigest()[:_ID_DIGITS]

@@ -6,8 +6,10 @@ from pathlib import Path
 import jinja2
 
 from vislam.files import replace_whole
+from vislam.report import study_ablation
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.study_figures import all_figures
+from vislam.report.study_labels import errors
 from vislam.report.study_tables import (
     consistency_table,
     errors_table,
@@ -16,12 +18,21 @@ from vislam.report.study_tables import (
     pairs_table,
 )
 from vislam.report.study_verdict import verdict
+from vislam.report.table import Table
+from vislam.study.ablation import Ablation
 from vislam.study.answers import CLAIMED, trial_bound
 from vislam.study.trials import Trials
 
 
 def write_study_page(
-    path: Path, *, title: str, trials: Trials, notes: Sequence[str], config: str, provenance: str
+    path: Path,
+    *,
+    title: str,
+    trials: Trials,
+    notes: Sequence[str],
+    config: str,
+    provenance: str,
+    ablation: Ablation | None = None,
 ) -> None:
     """Write the page, whole or not at all; it needs no other file and no network.
 
@@ -34,20 +45,31 @@ def write_study_page(
         Shown before the verdict.
     config, provenance : str
         Effective configuration of the study, and what it was run with.
+    ablation : Ablation, optional
+        Whose cases the points are.
     """
+    told, tables, drawings = verdict(trials), [], all_figures(trials)
+    if ablation is not None and errors(trials):
+        told = study_ablation.verdict(trials, ablation)
+        tables = [
+            study_ablation.mending_table(trials, ablation),
+            study_ablation.defects_table(trials, ablation),
+        ]
+        drawings = study_ablation.ablation_figures(trials, ablation)
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     text = environment.from_string(part("study.html")).render(
         title=title,
         notes=notes,
-        verdict=verdict(trials),
+        verdict=told,
+        ablation=tables,
         errors=errors_table(trials),
         consistency=consistency_table(trials),
-        pairs=pairs_table(trials),
+        pairs=pairs_table(trials) if ablation is None else Table([], []),
         failures=failures_table(trials),
         failed=failed_table(trials),
         bound=f"{trial_bound():.2f}",
         claimed=f"{100.0 * CLAIMED:.2f}",
-        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in all_figures(trials).items()],
+        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in drawings.items()],
         config=config,
         provenance=provenance,
         draw=draw_table,

@@ -14,7 +14,10 @@ from vislam.comparison import build_estimators, code_digest, provenance
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError
+from vislam.report.study_ablation import short_table
+from vislam.report.study_labels import errors
 from vislam.report.study_page import write_study_page
+from vislam.study.ablation import CASE, Ablation, slug
 from vislam.study.cluster import LOST, Cluster, run_trials
 from vislam.study.folder import StudyFolder
 from vislam.study.points import Point, Trial, all_points, all_trials
@@ -37,33 +40,44 @@ class Plan:
     config : Config
     study : StudyConfig
     points : sequence of Point
+    data : str
+        Hash of the recording; empty for drives that each trial simulates with its seed.
+    about : str
+        What the trials are of.
     """
 
     config: Config
     study: StudyConfig
     points: Sequence[Point]
+    data: str
+    about: str
 
     @classmethod
     def of(cls, config: Config) -> "Plan":
         """Plan the study of a config; ConfigError if there is none, or what it sweeps cannot be."""
         if config.study is None:
             raise ConfigError("study: the config has no such section; see configs/monte_carlo.yaml for one")
-        if config.data.file is not None:
-            raise ConfigError(
-                f"data.file: trials are of data made with a seed, got {config.data.file}; set it to null"
-            )
-        return cls(config, config.study, all_points(config, config.study))
+        study = config.study
+        config, data, about = _settle_data(config, seeds=study.seeds)
+        return cls(config, study, all_points(config, study), data, about)
 
     def trials(self) -> Iterator[Trial]:
         """Every seed at every point."""
         first = self.config.seed
-        return all_trials(self.points, seeds=range(first, first + self.study.seeds), code=code_digest())
+        return all_trials(
+            self.points, seeds=range(first, first + self.study.seeds), code=code_digest(), data=self.data
+        )
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no recorded data is used."""
+        return self.config.data.file is None and self.config.data.packaged is None
 
     @property
     def id(self) -> str:
         """Hash of config and code; with more seeds a study goes on, so they do not count."""
         lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
-        text = json.dumps(asdict(lasting)) + code_digest()
+        text = json.dumps(asdict(lasting)) + code_digest() + self.data
         return f"{self.config.name}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
 
     def refuse_bad_options(self) -> None:
@@ -110,6 +124,38 @@ def _address(client: Any) -> str:
     return f"scheduler: {client.scheduler.address}"
 
 
+def _write_cases(plan: Plan, folder: StudyFolder) -> None:
+    """Write the config of each case, so that each can be run on its own."""
+    for point in plan.points:
+        config = replace(parse(Config, point.tree), name=f"{plan.config.name}-{slug(point.values[CASE])}")
+        folder.write_text(folder.path / "cases" / f"{config.name}.yaml", configuration.dump(config))
+
+
+def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:
+    """Config whose data every trial finds, the hash of its recording if it has one, and what it is."""
+    file, packaged = config.data.file, config.data.packaged
+    if packaged is not None:
+        return (
+            config,
+            "",
+            f"MADE ODOMETRY: real stereo tracks of {packaged.name}, odometry of each trial's seed",
+        )
+    if file is None:
+        return config, "", "SIMULATED: every trial is a simulated drive"
+    dataset = open_dataset(config.data, seed=config.seed)
+    if dataset.sequence.stand_in:
+        # Each worker would decide for itself what it stands in for.
+        made = replace(config.data, file=None, inertial=None, reference=None)
+        return replace(config, data=made), "", dataset.notes[0]
+    if seeds > 1:
+        raise ConfigError(
+            f"study.seeds: {file} is the same with every seed; set it to 1, or data.file to null, got {seeds}"
+        )
+    reference = dataset.reference
+    known = "no reference" if reference is None else f"reference {reference.name}: {reference.limits}"
+    return config, dataset.sequence.digest, f"RECORDED: every trial is of {file}; {known}"
+
+
 def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials."""
     swept = tuple(plan.points[0].values)
@@ -132,14 +178,21 @@ def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
         "provenance": provenance(),
     }
     folder.write_json(folder.path / "study.json", document)
-    title = f"vislam {plan.config.name} [SIMULATED]"
+    title = f"vislam {plan.config.name}" + (" [SIMULATED]" if plan.simulated else "")
     trials = Trials.of_records(records)
-    terminal.rows(HEADER, rows_of(trials), title=title)
+    ablation = Ablation(tuple(plan.study.defects)) if plan.study.defects else None
+    if ablation is not None and errors(trials):
+        table = short_table(trials, ablation)
+        terminal.rows(table.header, table.rows, title=title)
+        _write_cases(plan, folder)
+    else:
+        terminal.rows(HEADER, rows_of(trials), title=title)
     write_study_page(
         folder.path / "study.html",
         title=title,
         trials=trials,
-        notes=("SIMULATED: every trial is a simulated drive",),
+        notes=(plan.about,),
+        ablation=ablation,
         config=configuration.dump(plan.config),
         provenance="\n".join(f"{key}: {value}" for key, value in document["provenance"].items()),
     )

@@ -39,8 +39,12 @@ class StudyFolder:
 
     def write_json(self, path: Path, document: Any) -> None:
         """Write plain data."""
+        self.write_text(path, json.dumps(document, indent=1) + "\n")
+
+    def write_text(self, path: Path, text: str) -> None:
+        """Write a text, whole or not at all; DataError if it cannot be."""
         with _told(path), replace_whole(path) as temporary:
-            temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
 
     def write_table(self, trials: Iterable[Trial], *, swept: Sequence[str], metrics: Sequence[str]) -> None:
         """Write ``trials.csv``: a row for each trial that is there, a column for each metric of each run.

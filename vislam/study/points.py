@@ -15,6 +15,7 @@ from vislam import config as configuration
 from vislam.config import Config
 from vislam.errors import ConfigError
 from vislam.members import members
+from vislam.study.ablation import CASE, Ablation, changes
 from vislam.study.settings import StudyConfig
 
 _ID_DIGITS = 16
@@ -38,11 +39,13 @@ class Point:
     tree: dict[str, Any]
 
     @classmethod
-    def of(cls, config: Config, values: Mapping[str, Any]) -> "Point":
-        """Lay values over a config; ConfigError if it takes them not."""
+    def of(
+        cls, config: Config, values: Mapping[str, Any], *, changes: Mapping[str, Any] | None = None
+    ) -> "Point":
+        """Lay values over a config, or what they stand for; ConfigError if it takes them not."""
         tree = _plain(replace(config, study=None, checks=(), seed=0, blas_threads=1))
         try:
-            for path, value in values.items():
+            for path, value in (values if changes is None else changes).items():
                 configuration.put(tree, path, deepcopy(value))
             found = configuration.parse(Config, tree)
             members(found)
@@ -73,10 +76,16 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
     ConfigError
         If the config takes one of them not.
     """
-    swept = study.grid or (study.latin_hypercube.ranges if study.latin_hypercube else {})
-    for path in swept:
+    swept = [*study.grid, *(study.latin_hypercube.ranges if study.latin_hypercube else {})]
+    for path in (*swept, *(path for values in study.defects.values() for path in values)):
         if path.split(".", maxsplit=1)[0] in _NOT_SWEPT:
             raise ConfigError(f"study: {path} cannot be swept")
+    if study.defects:
+        cases = Ablation(tuple(study.defects)).cases()
+        return [
+            Point.of(config, {CASE: label}, changes=changes(study.defects, present))
+            for label, present in cases.items()
+        ]
     return [Point.of(config, values) for values in point_values(study)]
 
 
@@ -93,11 +102,11 @@ def point_values(study: StudyConfig) -> Iterator[dict[str, Any]]:
         yield dict(zip(cube.ranges, row.tolist(), strict=True))
 
 
-def all_trials(points: Sequence[Point], *, seeds: range, code: str) -> Iterator[Trial]:
-    """Trials of the points, in the order of the points."""
+def all_trials(points: Sequence[Point], *, seeds: range, code: str, data: str = "") -> Iterator[Trial]:
+    """Trials of the points, in the order of the points; ``data`` is the hash of a recording."""
     for point in points:
         for seed in seeds:
-            text = f"{point.digest}|{seed}|{code}"
+            text = "|".join([point.digest, str(seed), code, *([data] if data else [])])
             yield Trial(hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS], point, seed)
 
 

@@ -42,10 +42,13 @@ class StudyConfig:
     """Values by dotted path in the config; each is combined with each."""
     latin_hypercube: LatinHypercube | None = None
     """Points in place of a grid."""
+    defects: dict[str, Annotated[dict[str, Any], Field(min_length=1)]] = Field(default_factory=dict)
+    """An ablation in place of a grid: things done wrong by name, each as values by dotted path; the
+    config itself has none of them. They are mended in this order, and each is there and is mended alone."""
     metrics: tuple[str, ...] = ()
     """Metrics that ``trials.csv`` shows; empty: all. The files of the trials have them all."""
 
     def __post_init__(self) -> None:
         """Refuse two sets of points."""
-        if self.grid and self.latin_hypercube is not None:
-            raise ValueError("one of grid and latin_hypercube can be given, not both")
+        if sum(map(bool, (self.grid, self.latin_hypercube, self.defects))) > 1:
+            raise ValueError("one of grid, latin_hypercube and defects can be given")

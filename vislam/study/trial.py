@@ -21,7 +21,7 @@ DONE, FAILED = "done", "failed"
 
 
 def run_trial(tree: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Simulate, run the estimators, and score those that are complete.
+    """Simulate, or read the recording, run the estimators, and score those that are complete.
 
     Whatever goes wrong is a result too: a trial that fails is to be counted, not to end the study.
 
@@ -65,7 +65,7 @@ def _unheard() -> Iterator[None]:
 
 
 def _measure(config: Config) -> dict[str, Any]:
-    dataset = open_dataset(config.data, seed=config.seed)
+    dataset = open_dataset(config.data, seed=config.seed, allow_stand_in=False)
     results = run_comparison(config, dataset, Terminal(quiet=True))
     # An incomplete run has errors of the frames it finished: they are not those of the others.
     complete = {name: run for name, run in results.runs.items() if run.complete}

@@ -1,0 +1,170 @@
+"""What an ablation shows: two tables and a figure of what each defect costs."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vislam.report.figures import Drawing
+from vislam.report.shown import colours
+from vislam.report.study_labels import ERRORS, errors, metric_label
+from vislam.report.table import Table
+from vislam.study.ablation import CASE, Ablation
+from vislam.study.trials import Trials
+
+_DETAILS = {
+    "path_length": "path length [m]",
+    "nis_per_dof": "NIS per degree of freedom",
+    "nees_pose": "NEES per degree of freedom",
+    "total_time_s": "total time [s]",
+}
+_MISSING = "failed"
+
+
+def short_table(trials: Trials, ablation: Ablation) -> Table:
+    """Defects mended one after the other: the error of every estimator."""
+    key = errors(trials)[0]
+    header = ["mended, one after the other", *(f"{run}, {metric_label(key)}" for run in trials.complete)]
+    rows = [[label, *_errors(trials, key, case)] for label, case in _steps(ablation)]
+    return Table(header, rows)
+
+
+def mending_table(trials: Trials, ablation: Ablation) -> Table:
+    """Defects mended one after the other: the error of every estimator, and what else is known of it."""
+    key = errors(trials)[0]
+    details = [name for name in _DETAILS if any(_known(trials, run, name) for run in trials.complete)]
+    header = ["mended", "estimator", metric_label(key), *(_DETAILS[name] for name in details)]
+    rows = []
+    for label, case in _steps(ablation):
+        for run in trials.complete:
+            found = [_value(trials, run, name, case) for name in (key, *details)]
+            rows.append([label, run, _number(found[0], missing=_MISSING), *map(_number, found[1:])])
+    return Table(header, rows)
+
+
+def defects_table(trials: Trials, ablation: Ablation) -> Table:
+    """Each defect on its own: the error where it alone is there, what it adds, and where it alone is mended."""
+    key = errors(trials)[0]
+    title, unit = ERRORS[key]
+    header = ["defect"]
+    header += [f"{run}: {title} if it alone is there [{unit}]" for run in trials.complete]
+    header += [f"{run}: cost [{unit}]" for run in trials.complete]
+    header += [f"{run}: {title} if it alone is mended [{unit}]" for run in trials.complete]
+    rows = [["none", *_errors(trials, key, ablation.label(()))]]
+    rows[0] += ["-"] * (2 * len(trials.complete))
+    for alone, mended in zip(ablation.alone(), ablation.mended_alone(), strict=True):
+        costs = [cost(trials, run, ablation, alone[0]) for run in trials.complete]
+        rows.append(
+            [
+                alone[0],
+                *_errors(trials, key, ablation.label(alone)),
+                *(_number(value, signed=True) for value in costs),
+                *_errors(trials, key, ablation.label(mended)),
+            ]
+        )
+    return Table(header, rows)
+
+
+def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
+    """The figure, by file name."""
+    key = errors(trials)[0]
+    title = "What each defect costs"
+    caption = (
+        f"Left: {metric_label(key)} as the defects are mended from top to bottom. Right: what each adds to it "
+        "where it alone is there. A run that failed has no point."
+    )
+    figure = Figure(figsize=(9.6, 1.2 + 0.34 * len(ablation.defects)), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    labels, steps = zip(*_steps(ablation), strict=True)
+    _draw(
+        left,
+        {run: [_value(trials, run, key, case) for case in steps] for run in trials.complete},
+        labels,
+        joined=True,
+    )
+    _draw(
+        right,
+        {run: [cost(trials, run, ablation, name) for name in ablation.defects] for run in trials.complete},
+        ablation.defects,
+        joined=False,
+    )
+    left.set(xscale="log", xlabel=metric_label(key))
+    right.axvline(0.0, color="k", lw=0.6)
+    right.set_xscale("symlog", linthresh=0.1)
+    right.set_xlabel(f"added {metric_label(key)}")
+    left.legend(loc="lower left", fontsize=7)
+    return {"ablation": Drawing(title, caption, figure)}
+
+
+def verdict(trials: Trials, ablation: Ablation) -> list[str]:
+    """Sentences: where each estimator begins and ends, and what costs it most."""
+    title, unit = ERRORS[errors(trials)[0]]
+    told = []
+    for run in trials.complete:
+        key = errors(trials)[0]
+        ends = [_value(trials, run, key, ablation.label(present)) for present in (ablation.defects, ())]
+        costs = {name: cost(trials, run, ablation, name) for name in ablation.defects}
+        failed = [
+            name for name in costs if not trials.complete[run][_rows(trials, ablation.label((name,)))].all()
+        ]
+        worst = sorted((name for name in costs if costs[name] > 0.0), key=lambda name: -costs[name])[:3]
+        listed = ", ".join(f"{name} (+{_number(costs[name])} {unit})" for name in worst)
+        sentence = (
+            f"{run}: {title} {_number(ends[0], missing=_MISSING)} {unit} with all defects, "
+            f"{_number(ends[1], missing=_MISSING)} {unit} with none."
+        )
+        sentence += f" On their own cost most: {listed}." if listed else ""
+        sentence += f" It fails with {', '.join(failed)}." if failed else ""
+        told.append(sentence)
+    return told
+
+
+def _steps(ablation: Ablation) -> list[tuple[str, str]]:
+    """What was mended last and the name of the case, from none mended to all."""
+    named = ["0. nothing", *(f"{step}. {name}" for step, name in enumerate(ablation.defects, start=1))]
+    cases = [ablation.label(present) for present in ablation.one_after_the_other()]
+    return list(zip(named, cases, strict=True))
+
+
+def cost(trials: Trials, run: str, ablation: Ablation, defect: str) -> float:
+    """What a defect on its own adds to the headline error; NaN where a run failed."""
+    key = errors(trials)[0]
+    with_it, without = (_value(trials, run, key, ablation.label(present)) for present in ((defect,), ()))
+    return with_it - without
+
+
+def _draw(axes: Axes, series: dict[str, list[float]], names: Sequence[str], *, joined: bool) -> None:
+    place = np.arange(len(names))
+    for run, colour in colours(series).items():
+        axes.plot(series[run], place, "o-" if joined else "o", ms=4, lw=1.0, color=colour, label=run)
+    axes.set_yticks(place, names, fontsize=7)
+    axes.invert_yaxis()
+    axes.grid(axis="x", lw=0.3)
+
+
+def _rows(trials: Trials, label: str) -> np.ndarray:
+    return trials.at({CASE: label})
+
+
+def _known(trials: Trials, run: str, key: str) -> bool:
+    return bool(np.isfinite(trials.value(run, key)).any())
+
+
+def _value(trials: Trials, run: str, key: str, label: str) -> float:
+    """Mean over the seeds of a case, all of which have to be complete."""
+    values = trials.value(run, key)[_rows(trials, label)]
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _errors(trials: Trials, key: str, label: str) -> Iterator[str]:
+    for run in trials.complete:
+        yield _number(_value(trials, run, key, label), missing=_MISSING)
+
+
+def _number(value: float, *, missing: str = "-", signed: bool = False) -> str:
+    """Three digits, but no fewer than the metres have."""
+    if not np.isfinite(value):
+        return missing
+    digits = 0 if abs(value) >= 1e3 else 1 if abs(value) >= 1e2 else 2
+    return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
