@@ -206,7 +206,7 @@ def _cpu() -> str:
 
 @cache
 def code_digest() -> str:
-    """Hash of the source, estimators from elsewhere included, so that changed code gets a folder of its own."""
+    """Hash of the source, that of all estimators included, so that changed code gets a folder of its own."""
     packages = {__package__, *(entry.value.partition(".")[0] for entry in entry_points(group=GROUP))}
     digest = hashlib.sha256()
     for package in sorted(packages):

@@ -2,10 +2,13 @@
 
 import csv
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import recorded
+from vislam import config as configuration
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
@@ -162,13 +165,12 @@ def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypa
 
 BAD = {
     "no study": (["--set", "study=null"], "study: the config has no such section"),
-    "a recording": (["--set", "data.file=03.npz"], "data.file: trials are of data made with a seed"),
     "no seeds": (["--set", "study.seeds=0"], "study.seeds: "),
     "empty grid": (["--set", "study.grid={noise.drift_px: []}"], "study.grid.noise.drift_px: "),
-    "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are grid"),
+    "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are defects, grid"),
     "grid and cube": (
         ["--set", "study.latin_hypercube={samples: 2, ranges: {noise.drift_px: [0, 1]}}"],
-        "study: one of grid and latin_hypercube",
+        "study: one of grid, latin_hypercube and defects",
     ),
     "swept key": (["--set", "study.grid={noise.drift: [1]}"], "study: noise.drift: unknown key"),
     "option": (["--set", "study.grid={estimators.ekf.gates: [true]}"], "estimators.ekf.gates: unknown key"),
@@ -206,3 +208,40 @@ def test_the_studies_that_come_along_can_be_planned(path):
     plan = conduct.Plan.of(configuration.load(path))
     assert len(plan.points) * plan.study.seeds == len({trial.id for trial in plan.trials()})
     assert len({point.digest for point in plan.points}) == len(plan.points)
+
+
+def test_a_recording_has_no_seeds(ran, capsys):
+    recorded("03.npz")
+    assert study("--set", "data.file=03.npz") == 2
+    assert "study.seeds: 03.npz is the same with every seed" in capsys.readouterr().err
+    assert ran == []
+
+
+def test_an_ablation_runs_each_case_once_and_leaves_its_config(ran, capsys):
+    defects = {"late": {"noise.pixel_sigma_px": 5.0}, "wild": {"estimators.ekf.gate": False}}
+    assert study("--set", "study.grid={}", "--set", f"study.defects={defects}", "--set", "study.seeds=1") == 0
+    assert [values["case"] for values, _ in ran] == ["all defects", "only wild", "no defect", "only late"]
+    shown = capsys.readouterr().out
+    assert "2. wild" in shown
+    page = only("*/study.html").read_text(encoding="utf-8")
+    assert "What each defect costs" in page
+    assert "SIMULATED" in page
+    wild = configuration.load(only("*/cases/*only_wild.yaml"))
+    assert wild.estimators["ekf"] == {"gate": False}
+    assert wild.noise.pixel_sigma_px != 5.0
+    # The case is the same run on its own.
+    found = run_trial(ran_tree(wild), seed=5)
+    saved = json.loads(only(f"*/trials/{trial_of('only wild')}.json").read_text(encoding="utf-8"))
+    assert error_of(found) == error_of(saved)
+
+
+def trial_of(case):
+    return next(row["id"] for row in table() if row["case"] == case)
+
+
+def ran_tree(config):
+    return json.loads(json.dumps(asdict(config)))
+
+
+def error_of(result):
+    return next(m["value"] for m in result["metrics"] if m["estimator"] == "ekf" and m["key"] == "ate_rmse")

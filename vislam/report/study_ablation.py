@@ -44,7 +44,7 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
 
 
 def defects_table(trials: Trials, ablation: Ablation) -> Table:
-    """Each defect on its own: the error where it alone is there, what it adds, and where it alone is mended."""
+    """Each defect on its own: the error where it alone is there or mended, and what it adds."""
     key = errors(trials)[0]
     title, unit = ERRORS[key]
     header = ["defect"]
@@ -71,7 +71,7 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
     key = errors(trials)[0]
     title = "What each defect costs"
     caption = (
-        f"Left: {metric_label(key)} as the defects are mended from top to bottom. Right: what each adds to it "
+        f"Left: {metric_label(key)} as the defects are mended from top to bottom. Right: what each adds "
         "where it alone is there. A run that failed has no point."
     )
     figure = Figure(figsize=(9.6, 1.2 + 0.34 * len(ablation.defects)), layout="constrained")
@@ -91,9 +91,10 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
     )
     left.set(xscale="log", xlabel=metric_label(key))
     right.axvline(0.0, color="k", lw=0.6)
-    right.set_xscale("symlog", linthresh=0.1)
+    right.set_xscale("symlog", linthresh=1.0)
     right.set_xlabel(f"added {metric_label(key)}")
-    left.legend(loc="lower left", fontsize=7)
+    right.tick_params(axis="x", labelsize=7)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=8)
     return {"ablation": Drawing(title, caption, figure)}
 
 
@@ -111,8 +112,7 @@ def verdict(trials: Trials, ablation: Ablation) -> list[str]:
         worst = sorted((name for name in costs if costs[name] > 0.0), key=lambda name: -costs[name])[:3]
         listed = ", ".join(f"{name} (+{_number(costs[name])} {unit})" for name in worst)
         sentence = (
-            f"{run}: {title} {_number(ends[0], missing=_MISSING)} {unit} with all defects, "
-            f"{_number(ends[1], missing=_MISSING)} {unit} with none."
+            f"{run}: {title} {_told(ends[0], unit)} with all defects, {_told(ends[1], unit)} with none."
         )
         sentence += f" On their own cost most: {listed}." if listed else ""
         sentence += f" It fails with {', '.join(failed)}." if failed else ""
@@ -160,6 +160,10 @@ def _value(trials: Trials, run: str, key: str, label: str) -> float:
 def _errors(trials: Trials, key: str, label: str) -> Iterator[str]:
     for run in trials.complete:
         yield _number(_value(trials, run, key, label), missing=_MISSING)
+
+
+def _told(value: float, unit: str) -> str:
+    return f"{_number(value)} {unit}" if np.isfinite(value) else _MISSING
 
 
 def _number(value: float, *, missing: str = "-", signed: bool = False) -> str:
