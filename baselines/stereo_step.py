@@ -1,0 +1,154 @@
+"""Motion of the body between two frames from the stereo tracks that they share, by a robust fit.
+
+A track is triangulated in the earlier frame and seen from the later. What its residual is made of is carried
+along: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
+the point at the wrong depth and comes again in the later disparity. :func:`vislam.vision.fit_rigid` votes with
+one spread for all that depends on the disparity alone, and fits its scale; it needs no noise, and tells none.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.sightings import NEAREST, Sightings, look
+from vislam.geometry import se3
+from vislam.sensors import StereoRig, TrackNoise
+from vislam.types import Array, BoolArray
+from vislam.vision import FEWEST
+
+_FREEDOM = 2.0
+"""Degrees of freedom of the Student distribution that residuals of recorded tracks have."""
+_ITERATIONS = 30
+_AT_REST = 1e-3
+"""Iterations end when the motion changes by less than this share of its standard deviation."""
+_DRIFT = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+"""Covariance of (uL, uR, v) when column and row drift by a unit each: both columns do so together."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a motion without looking.
+
+    Attributes
+    ----------
+    prev_T_next : (4, 4)
+    cov : (6, 6)
+        Its covariance, on its right.
+    """
+
+    prev_T_next: Array
+    cov: Array
+
+
+@dataclass(frozen=True)
+class StepFit:
+    """Fitted motion of the body.
+
+    Attributes
+    ----------
+    prev_T_next : (4, 4)
+    cov : (6, 6)
+        Inverse of the weighted Gauss-Newton Hessian, on its right.
+    seen : (n,)
+        Which of the tracks the fit rests on: those in front of the camera.
+    weight : (n,)
+        What remains of each: (2 + 3) / 2 for one that fits exactly, next to 0 for one that does not.
+    chi_square, dof : float, int
+        Sum of the weighted squared residuals and its degrees of freedom. For residuals of the distribution that
+        the weights are of, its mean is the degrees of freedom.
+    """
+
+    prev_T_next: Array
+    cov: Array
+    seen: BoolArray
+    weight: Array
+    chi_square: float
+    dof: int
+
+
+def fit_step(
+    rig: StereoRig,
+    noise: TrackNoise,
+    before: Array,
+    after: Array,
+    *,
+    start: Array,
+    prior: Prior | None = None,
+) -> StepFit | None:
+    """Fit the motion between two frames by iteratively reweighted Gauss-Newton.
+
+    The weights are those of a Student distribution (Lange, Little and Taylor, JASA 84, 1989).
+
+    Parameters
+    ----------
+    rig : StereoRig
+    noise : TrackNoise
+    before, after : (n, 3)
+        Measurements (uL, uR, v) of the same tracks [px], their disparities above zero.
+    start : (4, 4)
+        Motion ``prev_T_next`` of the body to start from.
+    prior : Prior, optional
+        Taken as one more measurement.
+
+    Returns
+    -------
+    StepFit or None
+        None if the tracks do not tell the motion.
+    """
+    points = rig.back_project(before)
+    in_imu = se3.transform(rig.imu_T_cam, points)
+    motion = start
+    for _ in range(_ITERATIONS):
+        sightings = look(rig, motion, in_imu)
+        seen = sightings.depth > NEAREST
+        if np.count_nonzero(seen) < FEWEST:
+            return None
+        root = np.linalg.cholesky(residual_cov(rig, noise, before, points, sightings))
+        residual = np.linalg.solve(root, (after - sightings.z)[:, :, None])[:, :, 0]
+        jacobian = np.linalg.solve(root, sightings.by_pose)
+        square = np.einsum("ni,ni->n", residual, residual)
+        weight = seen * (_FREEDOM + 3.0) / (_FREEDOM + square)
+        weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
+        hessian, gradient = weighted.T @ jacobian.reshape(-1, 6), weighted.T @ residual.reshape(-1)
+        chi_square, dof = float(weight @ square), 3 * int(np.count_nonzero(seen)) - 6
+        if prior is not None:
+            error = se3.local(prior.prev_T_next, motion)
+            pull = np.linalg.solve(se3.right_jacobian(error).T, np.linalg.inv(prior.cov))
+            hessian += np.linalg.solve(se3.right_jacobian(error).T, pull.T)
+            gradient -= pull @ error
+            chi_square, dof = chi_square + float(error @ np.linalg.solve(prior.cov, error)), dof + 6
+        try:
+            root_inverse = np.linalg.inv(np.linalg.cholesky(hessian))
+        except np.linalg.LinAlgError:
+            return None
+        cov = root_inverse.T @ root_inverse
+        step = cov @ gradient
+        if step @ gradient < _AT_REST**2:
+            break
+        motion = se3.retract(motion, step)
+    return StepFit(motion, cov, seen, weight, chi_square, dof)
+
+
+def residual_cov(
+    rig: StereoRig, noise: TrackNoise, before: Array, points: Array, sightings: Sightings
+) -> Array:
+    """Covariance ``(n, 3, 3)`` [px^2] of measured less predicted.
+
+    Parameters
+    ----------
+    rig : StereoRig
+    noise : TrackNoise
+    before, points : (n, 3)
+        Earlier measurements [px], and the points in the earlier camera that they make [m].
+    sightings : Sightings
+        Of these points, from the later frame.
+    """
+    white = np.diag(noise.sigma**2)
+    by_camera = sightings.by_point @ rig.imu_T_cam[:3, :3]
+    by_before = by_camera @ rig.back_projection_jacobian(before)
+    # With its match error e a track's point is 1 + e times as far away, and so is every disparity of it.
+    by_match = (by_camera @ points[:, :, None])[:, :, 0]
+    by_match[:, 1] -= sightings.z[:, 0] - sightings.z[:, 1]
+    by_match *= noise.match_sigma(before[:, 0] - before[:, 1])[:, None]
+    carried = by_before @ white @ by_before.transpose(0, 2, 1)
+    return white + noise.drift**2 * _DRIFT + carried + by_match[:, :, None] * by_match[:, None, :]
