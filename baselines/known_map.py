@@ -19,7 +19,7 @@ from vislam.motion import BIAS, NAV, POSE, MotionNoise
 from vislam.types import Array, BoolArray, IntArray
 
 _OTHER_MAP_PX = 20.0
-"""A map that is by half of its points farther from the pixels, seen from its own pose, is that of other tracks."""
+"""A map half of whose points are farther from the pixels, seen from its own pose, is of other tracks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -44,7 +44,7 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "KnownMap":
 
 
 class KnownMap:
-    """Predicts by eqs. (23) to (25) and updates by eq. (14), with the sign and the inverse that eq. (26) lacks.
+    """Predicts by eqs. (23) to (25), updates by eq. (14), with the sign and the inverse that eq. (26) lacks.
 
     A landmark is as wrong in one frame as in the next. Its covariance is taken for noise that is new in every
     frame, so the pose is surer of itself than the map can make it.
@@ -101,8 +101,8 @@ class KnownMap:
     def _in_map(self, frame: Frame) -> tuple[IntArray, IntArray]:
         """Rows of the frame whose tracks are in the map, and their places there.
 
-        Ids of tracks are those of one set of repairs of one recording, and any map has small ones: that it is of
-        this data is seen, once, by how it looks from its own pose.
+        Ids of tracks mean something in one recording with one set of repairs only, and every map has small
+        ones. That it is of this data shows, once, in how it looks from its own pose.
         """
         run = self._saved.run
         _, rows, slots = np.intersect1d(frame.track, run.track, assume_unique=True, return_indices=True)

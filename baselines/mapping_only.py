@@ -24,7 +24,7 @@ class MappingOnlyOptions:
     """Options of mapping with given poses."""
 
     poses: str = "dead_reckoning"
-    """``dead_reckoning``: the twist integrated as in the report; else the file of a saved run of the same data."""
+    """``dead_reckoning``: the twist integrated as the report does; else the file of a saved run."""
     pixel_variance: Positive | None = 3.0
     """Variance of each pixel coordinate, the report's V [px^2]; null: the noise of the comparison."""
     every: Annotated[int, Field(ge=1)] = 20
@@ -40,8 +40,8 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "MappingOnly":
 class MappingOnly:
     """Estimates landmarks and nothing else.
 
-    Given the poses, landmarks are independent: in the report's joint filter all blocks between two of them stay
-    zero. Nor are they uncertain by more than the pixels make them: that the poses are wrong, they do not know.
+    Given the poses, landmarks are independent: in the report's joint filter all blocks between two of them
+    stay zero. Their covariances are what the pixels alone leave open, as if the poses were right.
     """
 
     def __init__(self, problem: Problem, options: MappingOnlyOptions) -> None:

@@ -27,8 +27,8 @@ class Sightings:
     z : (n, 3)
         (uL, uR, v) [px].
     by_pose : (n, 3, 6)
-        Derivative of ``z`` by the pose, on its right: minus that of the report's eq. (26), at the inverse of its
-        pose.
+        Derivative of ``z`` by the pose, on its right: that of the report's eq. (26) with the sign and the
+        inverse that it lacks.
     by_point : (n, 3, 3)
         Derivative of ``z`` by the point (eq. 19).
     """
@@ -65,7 +65,7 @@ def look(rig: StereoRig, world_T_imu: Array, points_world: Array) -> Sightings:
 def pixel_variances(frame: Frame, pixel_variance: float | None) -> Array:
     """Variances ``(n, 3)`` of (uL, uR, v) [px^2]: that of each pixel coordinate given, or those of the frame.
 
-    The mean row has half the variance of a coordinate, which is the same information as the report's four rows.
+    The mean row has half the variance of a coordinate: the same information as the report's four rows.
     """
     if pixel_variance is None:
         return frame.sigma**2

@@ -1,14 +1,15 @@
 """Motion of the body between two frames from the stereo tracks that they share, by a robust fit.
 
-A track is triangulated in the earlier frame and seen from the later. What its residual is made of is carried
-along: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
-the point at the wrong depth and comes again in the later disparity. :func:`vislam.vision.fit_rigid` votes with
-one spread for all that depends on the disparity alone, and fits its scale; it needs no noise, and tells none.
+A track is triangulated in the earlier frame and seen from the later. Each residual has a covariance of its
+own: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
+the point at a wrong depth and comes again in the later disparity. :func:`vislam.vision.fit_rigid`, by which
+the repairs vote, knows none of these: its spread depends on the disparity alone, and its scale is fitted.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from baselines.sightings import NEAREST, Sightings, look
 from vislam.geometry import se3
@@ -18,6 +19,8 @@ from vislam.vision import FEWEST
 
 _FREEDOM = 2.0
 """Degrees of freedom of the Student distribution that residuals of recorded tracks have."""
+_INFORMATION = (_FREEDOM + 3.0) / (_FREEDOM + 5.0)
+"""Its information on a motion, as a share of what the weighted Hessian comes to on average."""
 _ITERATIONS = 30
 _AT_REST = 1e-3
 """Iterations end when the motion changes by less than this share of its standard deviation."""
@@ -39,6 +42,12 @@ class Prior:
     prev_T_next: Array
     cov: Array
 
+    def residual(self, motion: Array) -> tuple[Array, Array]:
+        """How far a motion is from it, ``(6,)`` in its own units, and the derivative ``(6, 6)`` of that."""
+        root = np.linalg.cholesky(self.cov)
+        error = se3.local(self.prev_T_next, motion)
+        return np.linalg.solve(root, error), np.linalg.inv(se3.right_jacobian(error) @ root)
+
 
 @dataclass(frozen=True)
 class StepFit:
@@ -48,14 +57,14 @@ class StepFit:
     ----------
     prev_T_next : (4, 4)
     cov : (6, 6)
-        Inverse of the weighted Gauss-Newton Hessian, on its right.
+        Inverse of the information of the weights' distribution, on its right.
     seen : (n,)
         Which of the tracks the fit rests on: those in front of the camera.
     weight : (n,)
         What remains of each: (2 + 3) / 2 for one that fits exactly, next to 0 for one that does not.
     chi_square, dof : float, int
-        Sum of the weighted squared residuals and its degrees of freedom. For residuals of the distribution that
-        the weights are of, its mean is the degrees of freedom.
+        Sum of the weighted squared residuals and its degrees of freedom, which are its mean if the residuals
+        have the distribution that the weights are of.
     """
 
     prev_T_next: Array
@@ -77,7 +86,7 @@ def fit_step(
 ) -> StepFit | None:
     """Fit the motion between two frames by iteratively reweighted Gauss-Newton.
 
-    The weights are those of a Student distribution (Lange, Little and Taylor, JASA 84, 1989).
+    Weights and information are those of a Student distribution (Lange, Little and Taylor, JASA 84, 1989).
 
     Parameters
     ----------
@@ -110,23 +119,25 @@ def fit_step(
         weight = seen * (_FREEDOM + 3.0) / (_FREEDOM + square)
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
         hessian, gradient = weighted.T @ jacobian.reshape(-1, 6), weighted.T @ residual.reshape(-1)
-        chi_square, dof = float(weight @ square), 3 * int(np.count_nonzero(seen)) - 6
-        if prior is not None:
-            error = se3.local(prior.prev_T_next, motion)
-            pull = np.linalg.solve(se3.right_jacobian(error).T, np.linalg.inv(prior.cov))
-            hessian += np.linalg.solve(se3.right_jacobian(error).T, pull.T)
-            gradient -= pull @ error
-            chi_square, dof = chi_square + float(error @ np.linalg.solve(prior.cov, error)), dof + 6
+        error, by_motion = (np.zeros(0), np.zeros((0, 6))) if prior is None else prior.residual(motion)
+        own = by_motion.T @ by_motion
         try:
-            root_inverse = np.linalg.inv(np.linalg.cholesky(hessian))
+            factor = cho_factor(hessian + own)
         except np.linalg.LinAlgError:
             return None
-        cov = root_inverse.T @ root_inverse
-        step = cov @ gradient
-        if step @ gradient < _AT_REST**2:
-            break
+        downhill = gradient - by_motion.T @ error
+        step = cho_solve(factor, downhill)
         motion = se3.retract(motion, step)
-    return StepFit(motion, cov, seen, weight, chi_square, dof)
+        if step @ downhill < _AT_REST**2:
+            break
+    return StepFit(
+        prev_T_next=motion,
+        cov=np.linalg.inv(_INFORMATION * hessian + own),
+        seen=seen,
+        weight=weight,
+        chi_square=float(weight @ square + error @ error),
+        dof=3 * int(np.count_nonzero(seen)) - 6 + len(error),
+    )
 
 
 def residual_cov(

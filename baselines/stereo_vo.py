@@ -22,8 +22,8 @@ class StereoVoOptions:
     """Options of the stereo odometry."""
 
     inertial: Literal["fallback", "prior"] = "fallback"
-    """``fallback``: the inertial twist is the step where too few tracks go on, and else no more than where the fit
-    starts. ``prior``: it is a measurement of every step."""
+    """``fallback``: the inertial twist is the step where too few tracks go on; elsewhere the fit starts from
+    it, no more. ``prior``: it is one more measurement of every step."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "StereoVo":
@@ -34,8 +34,8 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "StereoVo":
 class StereoVo:
     """Strings together the steps that the tracks of two successive frames make.
 
-    The covariance is that of independent steps, which they are not: a sighting ends one step and begins the next,
-    a track keeps its match error, and the bias of inertial steps is the same one. It is an approximation.
+    The covariance takes steps for independent, which is an approximation: a sighting ends one step and begins
+    the next, a track keeps its match error, and inertial steps share their bias.
     """
 
     def __init__(self, problem: Problem, options: StereoVoOptions) -> None:
@@ -73,7 +73,7 @@ class StereoVo:
         )
 
     def finalize(self) -> Estimate:
-        """Return the poses; there is no map. An observation counts as fused if a step rests on it at either end."""
+        """Return the poses; there is no map. Fused are the observations at both ends of the fitted steps."""
         frames, tracks = zip(*self._fused, strict=True) if self._fused else ((), ())
         nothing = np.empty(0, np.int64)
         return Estimate(
@@ -87,7 +87,7 @@ class StereoVo:
         )
 
     def _step(self, frame: Frame, track: IntArray, z: Array) -> tuple[IntArray, StepFit | None]:
-        """Go on to a frame by its tracks ``(n,)`` at ``(n, 3)``; which of them count, and the fit if there is."""
+        """Go on to a frame by its tracks ``(n,)`` at ``(n, 3)``: which of them count, and the fit if any."""
         inertial = self._inertial(frame)
         track_before, z_before = self._before
         common, before, after = np.intersect1d(track_before, track, assume_unique=True, return_indices=True)
