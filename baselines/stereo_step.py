@@ -22,7 +22,7 @@ _FREEDOM = 2.0
 _INFORMATION = (_FREEDOM + 3.0) / (_FREEDOM + 5.0)
 """Its information on a motion, as a share of what the weighted Hessian comes to on average."""
 _ITERATIONS = 30
-_AT_REST = 1e-3
+_AT_REST = 1e-2
 """Iterations end when the motion changes by less than this share of its standard deviation."""
 _DRIFT = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Covariance of (uL, uR, v) when column and row drift by a unit each: both columns do so together."""
@@ -113,8 +113,9 @@ def fit_step(
         if np.count_nonzero(seen) < FEWEST:
             return None
         root = np.linalg.cholesky(residual_cov(rig, noise, before, points, sightings))
-        residual = np.linalg.solve(root, (after - sightings.z)[:, :, None])[:, :, 0]
-        jacobian = np.linalg.solve(root, sightings.by_pose)
+        both = np.concatenate([sightings.by_pose, (after - sightings.z)[:, :, None]], axis=2)
+        white = np.linalg.solve(root, both)
+        jacobian, residual = white[:, :, :6], white[:, :, 6]
         square = np.einsum("ni,ni->n", residual, residual)
         weight = seen * (_FREEDOM + 3.0) / (_FREEDOM + square)
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)

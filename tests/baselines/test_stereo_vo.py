@@ -186,6 +186,7 @@ def test_refused_observations_are_in_no_step():
     assert not np.array_equal(run.world_T_imu, odometry(config, dataset).world_T_imu)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "file", "length", "bound"),
     [("ds3", "03.npz", 1342.0, 8.0), ("kitti07", "0027.npz", 692.1, 8.0)],
