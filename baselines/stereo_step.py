@@ -112,10 +112,8 @@ def fit_step(
         seen = sightings.depth > NEAREST
         if np.count_nonzero(seen) < FEWEST:
             return None
-        root = np.linalg.cholesky(residual_cov(rig, noise, before, points, sightings))
-        both = np.concatenate([sightings.by_pose, (after - sightings.z)[:, :, None]], axis=2)
-        white = np.linalg.solve(root, both)
-        jacobian, residual = white[:, :, :6], white[:, :, 6]
+        spread = residual_cov(rig, noise, before, points, sightings)
+        residual, jacobian = _whitened(after - sightings.z, sightings.by_pose, spread)
         square = np.einsum("ni,ni->n", residual, residual)
         weight = seen * (_FREEDOM + 3.0) / (_FREEDOM + square)
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
@@ -139,6 +137,13 @@ def fit_step(
         chi_square=float(weight @ square + error @ error),
         dof=3 * int(np.count_nonzero(seen)) - 6 + len(error),
     )
+
+
+def _whitened(residual: Array, jacobian: Array, cov: Array) -> tuple[Array, Array]:
+    """Residuals ``(n, 3)`` and their derivatives ``(n, 3, 6)`` in units of the residuals' noise."""
+    both = np.concatenate([residual[:, :, None], jacobian], axis=2)
+    white = np.linalg.solve(np.linalg.cholesky(cov), both)
+    return white[:, :, 0], white[:, :, 1:]
 
 
 def residual_cov(
