@@ -13,6 +13,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
+from baselines.sightings import NEAREST, pixel_variances
+from baselines.twist import Integration, step_twist
 from vislam import config, motion
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
@@ -21,12 +23,8 @@ from vislam.geometry import se3, so3
 from vislam.motion import BIAS, NAV, POSE
 from vislam.types import Array, BoolArray, IntArray
 
-_SHARES = np.array([1.0, 1.0, 0.5])
-"""Variance of (uL, uR, v) in shares of that of each of the report's (uL, vL, uR, vR)."""
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""
-_NEAREST = 0.5
-"""A gate refuses what is nearer than this, or behind the camera [m]."""
 
 Variances = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 
@@ -45,7 +43,7 @@ class ReportEkfOptions:
     new_landmarks: Literal["independent", "correlated"] = "independent"
     """``independent``: a new landmark gets ``landmark_variance``, nothing in common with the pose it was seen
     from, and its sighting is fused once more. ``correlated``: covariance of pose and sighting, used once."""
-    integration: Literal["first", "mean"] = "first"
+    integration: Integration = "first"
     """Twist of a step: the sample at its beginning, or the mean over it."""
     motion_variance: Variances | None = (0.1, 0.1, 0.1, 1.0, 1.0, 1.0)
     """W of eq. (25), added every step [rad^2, m^2]; null: the comparison's own noise."""
@@ -146,9 +144,7 @@ class ReportEkf:
 
     def _predict(self, frame: Frame) -> None:
         """Eq. (25), with the bias added."""
-        # Samples lie at the frames and are joined by straight lines: half the change leads back to the first.
-        first = frame.twist - 0.5 * frame.twist_change
-        twist = first if self._options.integration == "first" else frame.twist
+        twist = step_twist(frame, self._options.integration)
         step = motion.integrate(twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
         transition, noise = motion.transition(step)
         if self._options.motion_variance is not None:
@@ -170,11 +166,11 @@ class ReportEkf:
         rows, slots, in_camera = rows[seen], slots[seen], in_camera[seen]
         innovation = frame.z[rows] - rig.project(in_camera)
         by_pose, by_point = self._jacobians(in_camera, self.points_world[slots])
-        variance = self._variance(frame, rows)
+        variance = pixel_variances(frame, self._options.pixel_variance)[rows]
         passes = np.ones(len(rows), bool)
         if self._options.gate:
             distance = self._distances(innovation, by_pose, by_point, slots, variance)
-            passes = (distance <= self._threshold) & (in_camera[:, 2] > _NEAREST)
+            passes = (distance <= self._threshold) & (in_camera[:, 2] > NEAREST)
         used, gated = np.zeros(len(frame.track), bool), np.zeros(len(frame.track), bool)
         used[rows[passes]], gated[rows[~passes]] = True, True
         if not passes.any():
@@ -223,11 +219,6 @@ class ReportEkf:
         weighted = np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]
         return np.asarray(np.sum(innovation * weighted, axis=1))
 
-    def _variance(self, frame: Frame, rows: IntArray) -> Array:
-        if self._options.pixel_variance is None:
-            return np.asarray(frame.sigma[rows] ** 2)
-        return np.broadcast_to(self._options.pixel_variance * _SHARES, (len(rows), 3))
-
     def _append_independent(self, frame: Frame, rows: IntArray) -> None:
         """Place new landmarks at their first sighting (eq. 20)."""
         points = self._placed(frame.z[rows])
@@ -242,7 +233,9 @@ class ReportEkf:
         grow = np.zeros((3 * len(rows), len(self.cov)))
         grow[:, POSE] = (rotation @ circled_dot(in_imu)).reshape(3 * len(rows), 6)
         by_sighting = rotation @ rig.imu_T_cam[:3, :3] @ rig.back_projection_jacobian(z)
-        own = (by_sighting * self._variance(frame, rows)[:, None, :]) @ by_sighting.transpose(0, 2, 1)
+        own = (
+            by_sighting * pixel_variances(frame, self._options.pixel_variance)[rows, None, :]
+        ) @ by_sighting.transpose(0, 2, 1)
         noise = np.zeros((len(rows), 3, len(rows), 3))
         noise[np.arange(len(rows)), :, np.arange(len(rows))] = own
         self._grow(frame.track[rows], self._placed(z), grow, noise.reshape(3 * len(rows), 3 * len(rows)))

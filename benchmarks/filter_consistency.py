@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.dead_reckoning import DeadReckoning
+from baselines import dead_reckoning
 from benchmarks import consistency_figures
 from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
@@ -179,7 +179,7 @@ def _estimators(
     problem: Problem, variants: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[tuple[str, estimator.Estimator]]:
     """Fresh estimators; those whose poses are not smoothed have no use for the way back."""
-    yield MOTION_ALONE, DeadReckoning(problem)
+    yield MOTION_ALONE, dead_reckoning.build(problem, {})
     for name, chosen in variants.items():
         smoothed = chosen.get("smoothed", False)
         finished = {} if smoothed else {"finished": "as_left", "observability": True}

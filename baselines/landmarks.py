@@ -1,0 +1,91 @@
+"""Landmarks seen from known poses: an EKF for each (report, section III-B), all of them at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from baselines.sightings import Sightings
+from vislam.geometry import se3
+from vislam.sensors import StereoRig
+from vislam.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Landmarks in the world, independent of each other.
+
+    Attributes
+    ----------
+    track : (m,)
+    points_world : (m, 3)
+        [m].
+    cov : (m, 3, 3)
+        [m^2].
+    """
+
+    track: IntArray
+    points_world: Array
+    cov: Array
+
+    @classmethod
+    def join(cls, parts: Sequence["Landmarks"]) -> "Landmarks":
+        """All landmarks of the parts."""
+        track, points, cov = zip(*((part.track, part.points_world, part.cov) for part in parts), strict=True)
+        return cls(np.concatenate(track), np.concatenate(points), np.concatenate(cov))
+
+    def select(self, which: IntArray | BoolArray) -> "Landmarks":
+        """Landmarks at places, or of a mask."""
+        return Landmarks(self.track[which], self.points_world[which], self.cov[which])
+
+
+def initialise(rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, variance: Array) -> Landmarks:
+    """Landmarks of tracks ``(n,)`` from their first measurements (eq. 20, y from the row).
+
+    Parameters
+    ----------
+    rig : StereoRig
+    world_T_imu : (4, 4)
+    track : (n,)
+    z, variance : (n, 3)
+        (uL, uR, v) [px], disparities above zero, and their variances [px^2].
+    """
+    world_T_cam = world_T_imu @ rig.imu_T_cam
+    by_z = world_T_cam[:3, :3] @ rig.back_projection_jacobian(z)
+    return Landmarks(
+        track,
+        se3.transform(world_T_cam, rig.back_project(z)),
+        (by_z * variance[:, None, :]) @ by_z.transpose(0, 2, 1),
+    )
+
+
+def update(
+    landmarks: Landmarks, seen: Sightings, z: Array, variance: Array
+) -> tuple[Landmarks, float, float]:
+    """Update each landmark with its own measurement (eq. 14, the covariance in Joseph's form).
+
+    Parameters
+    ----------
+    landmarks : Landmarks
+    seen : Sightings
+        As predicted.
+    z, variance : (m, 3)
+        As measured [px], and the variances [px^2].
+
+    Returns
+    -------
+    Landmarks
+    float, float
+        Normalised innovation squared, and the logarithm of the density of the innovations.
+    """
+    jacobian, innovation = seen.by_point, z - seen.z
+    noise = variance[:, :, None] * np.eye(3)
+    projected = jacobian @ landmarks.cov
+    spread = projected @ jacobian.transpose(0, 2, 1) + noise
+    gain = np.linalg.solve(spread, projected).transpose(0, 2, 1)
+    kept = np.eye(3) - gain @ jacobian
+    cov = kept @ landmarks.cov @ kept.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+    points = landmarks.points_world + (gain @ innovation[:, :, None])[:, :, 0]
+    nis = float(np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]))
+    log_det = float(np.linalg.slogdet(spread)[1].sum()) + innovation.size * float(np.log(2.0 * np.pi))
+    return replace(landmarks, points_world=points, cov=cov), nis, -0.5 * (nis + log_det)

@@ -1,0 +1,106 @@
+"""Mapping with given poses (report, section III-B)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
+from baselines.landmarks import Landmarks, initialise, update
+from baselines.saved import SavedRun
+from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
+from vislam import config
+from vislam.data import Frame
+from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.fields import STRICT, Positive
+from vislam.types import Array, BoolArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class MappingOnlyOptions:
+    """Options of mapping with given poses."""
+
+    poses: str = "dead_reckoning"
+    """``dead_reckoning``: the twist integrated as the report does; else the file of a saved run."""
+    pixel_variance: Positive | None = 3.0
+    """Variance of each pixel coordinate, the report's V [px^2]; null: the noise of the comparison."""
+    every: Annotated[int, Field(ge=1)] = 20
+    """One track in so many is mapped: those whose id it divides."""
+
+
+def build(problem: Problem, options: Mapping[str, Any]) -> "MappingOnly":
+    """Build the mapping from a problem and the options of its config section."""
+    parsed = config.parse(MappingOnlyOptions, dict(options), at="estimators.mapping_only")
+    return MappingOnly(problem, parsed)
+
+
+class MappingOnly:
+    """Estimates landmarks and nothing else.
+
+    Given the poses, landmarks are independent: in the report's joint filter all blocks between two of them
+    stay zero. Their covariances are what the pixels alone leave open, as if the poses were right.
+    """
+
+    def __init__(self, problem: Problem, options: MappingOnlyOptions) -> None:
+        self._rig = problem.rig
+        self._options = options
+        self._saved: SavedRun | None = None
+        if options.poses != "dead_reckoning":
+            self._saved = SavedRun(options.poses, at="estimators.mapping_only.poses")
+        self._reckoning = DeadReckoning(problem, DeadReckoningOptions(integration="first"))
+        self._in_view = Landmarks(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
+        self._left: list[Landmarks] = []
+        self._poses: list[Array] = []
+
+    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+        """Take one frame: its pose as given, then update what is known, then initialise what is new."""
+        given = self._reckoning.process(frame, refused)
+        if self._saved is not None:
+            given = replace(given, world_T_imu=self._saved.pose(frame), pose_cov=None, bias=None)
+        pose = given.world_T_imu
+        self._poses.append(pose)
+        variance = pixel_variances(frame, self._options.pixel_variance)
+        wanted = (frame.track % self._options.every == 0) & ~refused
+
+        _, slots, rows = np.intersect1d(
+            self._in_view.track, frame.track, assume_unique=True, return_indices=True
+        )
+        self._left.append(self._in_view.select(~np.isin(self._in_view.track, frame.track)))
+        known = self._in_view.select(slots)
+        seen = look(self._rig, pose, known.points_world)
+        fused = wanted[rows] & (seen.depth > NEAREST)
+        updated, nis, log_likelihood = update(
+            known.select(fused), seen.select(fused), frame.z[rows[fused]], variance[rows[fused]]
+        )
+
+        new = wanted & (frame.z[:, 0] - frame.z[:, 1] > SMALLEST_DISPARITY)
+        new[rows] = False
+        first = initialise(self._rig, pose, frame.track[new], frame.z[new], variance[new])
+        self._in_view = Landmarks.join([known.select(~fused), updated, first])
+        used = new.copy()
+        used[rows[fused]] = True
+        return replace(
+            given,
+            nis=nis,
+            dof=3 * int(np.count_nonzero(fused)),
+            log_likelihood=log_likelihood,
+            used=used,
+            gated=wanted & ~used,
+        )
+
+    def finalize(self) -> Estimate:
+        """Return the poses as given, and all landmarks, their ids ascending."""
+        landmarks = Landmarks.join([*self._left, self._in_view])
+        landmarks = landmarks.select(np.argsort(landmarks.track))
+        return Estimate(
+            world_T_imu=np.array(self._poses),
+            pose_cov=None,
+            track=landmarks.track,
+            points_world=landmarks.points_world,
+            points_cov=landmarks.cov,
+            counts={},
+            up=None if self._saved is None else self._saved.run.up,
+        )

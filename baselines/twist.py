@@ -1,0 +1,17 @@
+"""Which twist of a step is integrated: what the baselines can take in place of the step's mean."""
+
+from typing import Literal
+
+from vislam.data import Frame
+from vislam.types import Array
+
+Integration = Literal["mean", "first"]
+"""``mean``: the mean over the step. ``first``: the value at its start, as in the report's eq. (23)."""
+
+
+def step_twist(frame: Frame, integration: Integration) -> Array:
+    """Twist ``(6,)`` that is held over the step into a frame [rad/s, m/s].
+
+    The first one is exact where the samples lie at the frames, as straight lines join them.
+    """
+    return frame.twist if integration == "mean" else frame.twist - 0.5 * frame.twist_change
