@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -13,7 +14,7 @@ from vislam.report.placement import reference_T_world
 from vislam.run import Run
 from vislam.types import Array
 
-_MARGIN = 0.35
+_MARGIN = 0.2
 """Room around the reference, as a share of its length."""
 
 
@@ -51,16 +52,14 @@ class Panel:
         )
 
 
-def beside(rows: Sequence[tuple[Panel, Panel]]) -> Figure:
-    """Draw a row for each pair: the report's on the left, ours on the right."""
-    figure = Figure(figsize=(8.4, 3.4 * len(rows)), layout="constrained")
-    for axes, panel in zip(
-        figure.subplots(len(rows), 2, squeeze=False).flat, (one for pair in rows for one in pair), strict=True
-    ):
-        _draw(axes, panel)
-    first = figure.axes[0]
-    figure.legend(*_keys(figure), loc="outside upper center", ncols=4, fontsize=8)
-    first.set_ylabel("y [m]")
+def beside(pairs: Sequence[tuple[Panel, Panel]]) -> Figure:
+    """Draw a column for each pair: the report's above, ours below."""
+    figure = Figure(figsize=(2.7 * len(pairs), 7.0), layout="constrained")
+    for column, pair in zip(figure.subplots(2, len(pairs), squeeze=False).T, pairs, strict=True):
+        for axes, panel in zip(column, pair, strict=True):
+            _draw(axes, panel)
+    handles, labels = _keys(figure)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 
@@ -79,13 +78,13 @@ def _draw(axes: Axes, panel: Panel) -> None:
     margin = _MARGIN * float((high - low).max())
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
-    axes.set_title(panel.title, fontsize=9)
-    axes.tick_params(labelsize=7)
+    axes.set_title(panel.title, fontsize=8)
+    axes.tick_params(labelsize=6)
 
 
-def _keys(figure: Figure) -> tuple[list[object], list[str]]:
+def _keys(figure: Figure) -> tuple[list[Artist], list[str]]:
     """Each thing that is drawn, once."""
-    found = {}
+    found: dict[str, Artist] = {}
     for axes in figure.axes:
         handles, labels = axes.get_legend_handles_labels()
         found |= dict(zip(labels, handles, strict=True))

@@ -34,12 +34,12 @@ TIMED = {
 }
 """Runs that are timed: whose they are, and what job they do."""
 FIGURES = (
-    ("Fig. 2, dead reckoning", "dead_reckoning", "dead_reckoning"),
-    ("Fig. 4, map with the poses of dead reckoning", "mapping_only", "isam2"),
-    ("Fig. 5, SLAM with a pose gain of 0.01", "report_ekf_slowed", "isam2"),
-    ("section III-D, SLAM as printed", "report_ekf", "ekf"),
+    ("Fig. 2\ndead reckoning", "dead_reckoning", "dead_reckoning"),
+    ("Fig. 4\nmap, poses of dead reckoning", "mapping_only", "isam2"),
+    ("Fig. 5\nSLAM, pose gain 0.01", "report_ekf_slowed", "isam2"),
+    ("section III-D\nSLAM as printed", "report_ekf", "ekf"),
 )
-"""What each row shows: the report's run, and the run of ours beside it."""
+"""What each column shows: the report's run, and the run of ours beside it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _run(options: argparse.Namespace) -> int:
             [
                 (
                     panel(sides["report"], one, title=title),
-                    panel(sides["ours"], other, title=f"ours, {other}"),
+                    panel(sides["ours"], other, title=f"ours\n{other}"),
                 )
                 for title, one, other in FIGURES
             ]
@@ -120,8 +120,8 @@ def times(sides: dict[str, Side]) -> Part:
         header=["job", "run", "time [s]", "60 s over it", "report_ekf over it"],
         rows=rows,
         notes=(
-            f"the report quotes about {QUOTED_S:g} s for mapping alone with one feature in twenty, on an unnamed "
-            "machine; report_ekf forms every matrix over all landmarks so far, as the report's equations do",
+            f"the report quotes about {QUOTED_S:g} s for mapping alone with one feature in twenty, on an "
+            "unnamed machine; report_ekf forms every matrix over all landmarks so far, as its equations do",
         ),
         values={"seconds": found},
     )
@@ -157,7 +157,7 @@ def panel(side: Side, name: str, *, title: str) -> Panel:
         runs[name].levelled(),
         record.reference,
         beneath=runs["dead_reckoning"].levelled() if name != "dead_reckoning" else None,
-        title=title + (f": {error:.3g} m" if error is not None else ""),
+        title=title + (f", ATE {error:.3g} m" if error is not None else ""),
     )
 
 

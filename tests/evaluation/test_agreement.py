@@ -179,3 +179,25 @@ def test_frames_without_both_covariances_are_left_out(rng):
     assert np.array_equal(found.frame, [*range(1, 7), *range(8, FRAMES)])
     assert agreement(one, other, causal=(False, True)) is None
     assert agreement(made_run("none", circle(0)), other) is None
+
+
+def test_runs_that_are_worlds_apart_are_compared_where_numbers_last(rng):
+    """A filter that has gone astray by 200 km; nothing is left of the other's covariance over there."""
+    sound, other = pair(rng)
+    astray = other.world_T_imu.copy()
+    astray[FRAMES // 2 :, 0, 3] += 2e5
+    found = agreement(sound, replace(other, world_T_imu=astray))
+    assert found is not None
+    assert np.isfinite(found.ratios).all()
+    assert (found.ratios > 0.0).all()
+    assert set(range(1, FRAMES // 2)) <= set(found.frame.tolist())
+    assert np.isfinite(found.certainty().overall)
+
+
+def test_a_ratio_is_never_below_zero():
+    """Nearly singular in the same direction, rounding decides the sign of the least eigenvalue."""
+    factor = np.diag([1e-9, 1.0, 1e3])
+    turn = np.linalg.qr(np.arange(9.0).reshape(3, 3) + np.eye(3))[0]
+    first = turn @ np.diag([1e-22, 1.0, 1e6]) @ turn.T
+    ratios, _ = compared(first[None], (turn @ factor @ turn.T + 1e-12 * np.eye(3))[None])
+    assert (ratios > 0.0).all()

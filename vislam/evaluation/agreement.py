@@ -112,7 +112,8 @@ class Agreement:
 def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) -> Agreement | None:
     """Compare two runs pose by pose; None if there is no frame of which both give a covariance.
 
-    The first frame is left out: its difference is zero by construction.
+    The first frame is left out: its difference is zero by construction. So are frames in which the runs are
+    so far apart that nothing is left of a covariance where the other run is.
 
     Parameters
     ----------
@@ -128,11 +129,14 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
         return None
     known = usable(first_cov) & usable(second_cov)
     known[0] = False
-    if not known.any():
-        return None
     second = first[0] @ se3.inverse(second[0]) @ second
     difference = se3.local(first[known], second[known])
     here = transported(second_cov[known], difference)
+    kept = usable(here)
+    known[known] = kept
+    if not known.any():
+        return None
+    difference, here = difference[kept], here[kept]
     total = first_cov[known] + here
     ratios, along = compared(first_cov[known], here)
     return Agreement(
@@ -180,7 +184,8 @@ def compared(first: Array, second: Array) -> tuple[Array, IntArray]:
     ratios, vectors = np.linalg.eigh(np.linalg.solve(factor, half.transpose(0, 2, 1)))
     sigma = np.sqrt(np.diagonal(second, axis1=1, axis2=2))
     along = np.abs(factor @ vectors / sigma[:, :, None]).argmax(axis=1)
-    return np.asarray(ratios), along
+    # None is below zero but by rounding, where the first claims next to nothing of what the second does.
+    return np.maximum(ratios, np.finfo(float).eps), along
 
 
 def _poses(run: Run, row: IntArray, *, causal: bool) -> tuple[Array, Array]:
