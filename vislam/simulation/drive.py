@@ -62,7 +62,6 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
     by_step = config.inertial_noise == "step"
     clean = _step_twist(config, stamp, world_T_imu) if by_step else _sampled_twist(config, stamp, path)
     sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
-    sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
     noise = sigma * generator.standard_normal(clean.shape)
     tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
     # Drawn last, so that a walk changes nothing but the bias.

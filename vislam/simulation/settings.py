@@ -51,9 +51,26 @@ class SimulationConfig:
     rig: RigConfig = RigConfig()
     """The stereo pair."""
     tracks_in_view: Positive = 66.0
-    """Mean number of stereo tracks in view."""
+    """Mean number of stereo tracks in view to which new ones are born."""
+    tracks_spread: NonNegative = 0.08
+    """Standard deviation of that number from frame to frame, as a share of it."""
+    redetect_below: Positive | None = None
+    """Number of tracks in view below which the front end re-detects in the next frame, but never twice on
+    end: that frame is stale, no track is lost in it, and tracks are born in it and in no other. Null: tracks
+    are born in every frame."""
+    shortest_track: Annotated[int, Field(ge=1)] = 1
+    """Tracks with fewer observations than this are not written."""
     loss_probability: Probability = 0.04
     """Chance that a track in view is lost in a frame."""
+    loss_flow_px: Positive | None = None
+    """Flow in a frame at which a track is kept with a chance of 1/e, besides; the chance falls exponentially
+    with the flow, so that fast tracks are lost sooner. Null: the flow does not matter [px]."""
+    landmarks: Literal["births", "field"] = "births"
+    """What new tracks follow. ``births``: points of their own, anywhere in the image. ``field``: points of a
+    fixed field of facades and ground along the way, which can be found again, so that one landmark can have
+    several tracks; after a stale frame a track follows a point of its own there too."""
+    field_per_metre: Positive = 10.0
+    """Points of the field, in each metre of the way."""
     depth_min: Positive = 5.0
     """Nearest depth at which a track is born [m]."""
     depth_max: Positive = 120.0
@@ -62,6 +79,8 @@ class SimulationConfig:
     """White noise of uL, vL, uR and vR [px]."""
     match_px: NonNegative = 0.0
     """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
+    match_share: NonNegative = 0.0
+    """More of that error, as a share of the disparity; Student-distributed with two degrees of freedom."""
     outlier_probability: Probability = 0.0
     """Chance that an observation is off by up to 50 px."""
     stale_probability: Probability = 0.0
