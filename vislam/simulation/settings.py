@@ -33,6 +33,23 @@ class RigConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RecordedPathConfig:
+    """Recorded poses that a simulated drive follows."""
+
+    file: str
+    """File of poses, searched for where recordings are."""
+    format: Literal["kitti", "tum"]
+    """``kitti``: 12 numbers a line (3 x 4, row by row), one pose a period. ``tum``: stamp, x, y, z, qx, qy,
+    qz, qw; the first stamp is the start."""
+    pose_of: Literal["imu", "left_camera"] = "imu"
+    """What its poses are those of; a left camera is taken to sit in the body as that of ``rig``."""
+    up: Literal["z", "-y"] = "z"
+    """Axis of its world that points up; "-y" where the world has a camera's axes, as in KITTI odometry."""
+    knot_spacing: Positive = 0.4
+    """Time between the knots of the splines through the poses: what is quicker is taken for jitter [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SimulationConfig:
     """A simulated drive: path, inertial data, stereo tracks and the faults of a recording."""
 
@@ -40,10 +57,15 @@ class SimulationConfig:
     """Number of frames."""
     period: Positive = 0.1046
     """Time between frames [s]."""
-    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix"] = "town"
+    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "recorded"] = (
+        "town"
+    )
     """Shape of the drive. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
     circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
-    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade."""
+    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade.
+    ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
+    recorded: RecordedPathConfig | None = None
+    """The poses of ``path: recorded``, and of no other."""
     speed: Positive = 12.7
     """Mean speed [m/s]."""
     hills_m: NonNegative = 4.0
@@ -121,3 +143,8 @@ class SimulationConfig:
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
     levelled_velocity: bool = False
     """Write the climb rate as the third velocity component, as KITTI's recordings have it."""
+
+    def __post_init__(self) -> None:
+        """Refuse a recorded path without poses, and poses that would go unheard."""
+        if (self.path == "recorded") != (self.recorded is not None):
+            raise ValueError("path: recorded and the section recorded, with its file, go together: give both")

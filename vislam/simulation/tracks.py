@@ -121,7 +121,7 @@ def simulate_tracks(
 
 
 def _without_short(tracks: Tracks, shortest: int) -> Tracks:
-    """Leave out tracks with fewer observations than ``shortest``; the ids of the rest count up without gaps."""
+    """Leave out tracks with fewer observations than ``shortest``; the ids of the rest have no gaps."""
     if shortest == 1:
         return tracks
     kept = np.bincount(tracks.track)[tracks.track] >= shortest
