@@ -11,12 +11,14 @@ NEAREST = 1.5
 """A point nearer than this is out of sight [m]."""
 _CAMERA_HEIGHT = 1.65
 """Height of the cameras above the ground, as on KITTI's car [m]."""
-_GROUND_SHARE = 0.3
+_GROUND_SHARE = 0.5
 """Share of the points that lie on the ground."""
 _GROUND_HALF_WIDTH = 6.0
 """How far to either side of the way the ground has points [m]."""
-_FACADE_NEAR, _FACADE_FAR, _FACADE_HEIGHT = 6.0, 20.0, 10.0
+_FACADE_NEAR, _FACADE_FAR, _FACADE_HEIGHT = 4.0, 20.0, 10.0
 """How far from the way facades stand at least and at most, and how high they are [m]."""
+_NEARNESS = 1.5
+"""The chance of a point to be found goes by this power of its disparity; front ends like texture at hand."""
 _CLEAR = 3.0
 """Facades keep this distance to every part of the way, also where it turns or comes back [m]."""
 
@@ -73,8 +75,7 @@ def pick(
     Returns
     -------
     (k,)
-        Indices, each once. Near points are likelier, by their disparity, so that depths come out spread
-        evenly in their logarithm where points are spread evenly along the way.
+        Indices, each once; near points are likelier.
     """
     depth = points_cam[:, 2]
     free = in_view(config, rig, points_cam) & (depth >= config.depth_min) & (depth <= config.depth_max)
@@ -82,7 +83,7 @@ def pick(
     candidates = np.flatnonzero(free)
     if count == 0 or len(candidates) == 0:
         return np.empty(0, np.int64)
-    weight = 1.0 / depth[candidates]
+    weight = depth[candidates] ** -_NEARNESS
     size = min(count, len(candidates))
     return generator.choice(candidates, size, replace=False, p=weight / weight.sum())
 
