@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from vislam.data.find import find_file, not_found
 from vislam.data.reference_files import UPRIGHT, read_poses
 from vislam.data.sequence import Sequence
@@ -12,6 +10,9 @@ from vislam.geometry import se3
 from vislam.simulation import SimulationConfig, Truth, simulate
 from vislam.simulation.drive import stereo_rig
 from vislam.simulation.recorded_path import FEWEST_POSES, RecordedPath
+
+_ROUNDING = 0.01
+"""Share of a period by which stamps may fall short of the last frame."""
 
 
 def simulated_drive(
@@ -58,7 +59,7 @@ def load_recorded_path(file: Path, config: SimulationConfig) -> RecordedPath:
             f"{file}: must have {FEWEST_POSES} poses or more to lay a path through, got {len(pose)}"
         )
     time = config.period * at if settings.format == "kitti" else at - at[0]
-    frames = int(np.floor(time[-1] / config.period + 1e-6)) + 1
+    frames = int(time[-1] / config.period + _ROUNDING) + 1
     if config.frames > frames:
         raise ConfigError(
             f"data.simulation.frames: must be at most {frames}, as {file} covers {time[-1]:.1f} s, "

@@ -105,10 +105,8 @@ def simulate_tracks(
         else:
             alive.keep(in_view(config, rig, se3.transform(se3.inverse(pose), alive.point)))
             _follow(config, rig, pose, alive, generator)
-        missing = 0
-        if stale or not redetects or len(alive.track) == 0:
-            wanted = generator.normal(config.tracks_in_view, config.tracks_spread * config.tracks_in_view)
-            missing = max(0, round(wanted) - len(alive.track))
+        births = stale or not redetects or len(alive.track) == 0
+        missing = _missing(config, len(alive.track), generator) if births else 0
         found = _find(config, rig, pose, field, taken=alive.landmark, count=missing, generator=generator)
         alive.add(_births(config, rig, pose, found, first=born, generator=generator))
         born, was_stale = born + len(found.point), stale
@@ -133,6 +131,12 @@ def _without_short(tracks: Tracks, shortest: int) -> Tracks:
 def _happens(probability: float, generator: np.random.Generator) -> bool:
     """Draw, unless the chance is none: what is switched off takes no number from the generator."""
     return probability > 0.0 and generator.random() < probability
+
+
+def _missing(config: SimulationConfig, there: int, generator: np.random.Generator) -> int:
+    """Draw how many tracks there are to be, and say how many that lacks."""
+    wanted = generator.normal(config.tracks_in_view, config.tracks_spread * config.tracks_in_view)
+    return max(0, round(wanted) - there)
 
 
 def _follow(
