@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from vislam.geometry import se3
+from vislam.repair.tracks import stale_observations
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.drive import stereo_rig
 from vislam.simulation.field import landmark_field
@@ -82,11 +83,12 @@ def test_without_noise_the_pixels_are_those_of_the_points():
 
 
 def test_points_come_by_the_metre_and_keep_clear_of_the_way():
-    world_T_cam, generator = camera_poses(DRIVE)
-    field = landmark_field(DRIVE, world_T_cam, generator)
+    # It crosses its own way, where facades of the one arm would stand on the other.
+    config = replace(DRIVE, path="figure_eight", hills_m=0.0)
+    world_T_cam, generator = camera_poses(config)
+    field = landmark_field(config, world_T_cam, generator)
     place = world_T_cam[:, :3, 3]
     way = np.linalg.norm(np.diff(place, axis=0), axis=1).sum() + DRIVE.depth_max
-    # At corners some facades would stand in the way and are left out.
     assert 0.8 * DRIVE.field_per_metre * way < len(field) <= DRIVE.field_per_metre * way
     distance, nearest = KDTree(place[:, :2]).query(field[:, :2])
     above = field[:, 2] - place[nearest, 2]
@@ -109,6 +111,29 @@ def test_depths_stay_within_what_is_set():
 def test_an_empty_field_gives_no_more_tracks_than_it_has_points():
     sequence, _ = simulated(replace(DRIVE, frames=40, field_per_metre=0.2))
     assert 0 < np.diff(sequence.offset).max() < 30
+
+
+def test_a_landmark_that_a_track_has_left_in_a_stale_frame_can_be_found_again():
+    # At a walking pace with more tracks wanted than there are landmarks, all are taken from the start.
+    few = replace(
+        DRIVE,
+        frames=60,
+        path="straight",
+        speed=0.1,
+        hills_m=0.0,
+        loss_probability=0.0,
+        field_per_metre=1.0,
+        tracks_in_view=5000,
+    )
+    for probability in (0.0, 0.2):
+        sequence, _ = simulated(replace(few, stale_probability=probability))
+        stale, _ = stale_observations(sequence)
+        _, first = np.unique(sequence.track, return_index=True)
+        born = np.bincount(sequence.frame_of[first], minlength=60)
+        assert born[0] > 20
+        many = born > 0.8 * born[0]
+        assert (stale.sum() > 5) == (probability > 0.0)
+        assert np.array_equal(np.flatnonzero(many), [0, *np.flatnonzero(stale)])
 
 
 def test_equal_seeds_give_equal_drives_and_others_do_not():

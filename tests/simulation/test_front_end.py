@@ -30,10 +30,11 @@ def first_frames(sequence):
 
 
 def test_tracks_are_born_in_stale_frames_only_and_these_follow_frames_of_few():
-    sequence, _ = simulated(BURSTS)
+    # With so wide a spread, some bursts bring too few.
+    sequence, _ = simulated(replace(BURSTS, tracks_spread=0.5))
     stale, _ = stale_observations(sequence)
     before = np.diff(sequence.offset)[:-1]
-    assert stale.sum() > 20
+    assert np.any(stale[:-1] & (np.diff(sequence.offset)[:-1] < 40))
     assert set(first_frames(sequence)) <= {0, *np.flatnonzero(stale)}
     assert before[stale[1:]].max() < 40
     # All frames of few are followed by a stale one, but for those that are stale themselves.
