@@ -1,7 +1,7 @@
 """``python -m vislam.simulate``: the simulated drive of a config as a course file, with its truth.
 
 The drive is that of ``data.simulation``, faults included; the truth is a TUM file next to it. Exit codes:
-0 done, 2 bad config, or a drive that the format cannot hold.
+0 done, 2 bad config or recorded path, or a drive that the format cannot hold.
 """
 
 import argparse
@@ -31,6 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="KEY=VALUE",
         help="override a config value by dotted path",
     )
+    add("--data-dir", type=Path, help="first folder to look for a recorded path")
     add("--verbose", action="store_true", help="log what is done")
     return parser
 
@@ -40,9 +41,10 @@ def _simulate(options: argparse.Namespace) -> int:
     config = load_config(options)
     from vislam.data.course_export import write_course_npz  # noqa: PLC0415
     from vislam.data.export import write_tum  # noqa: PLC0415
+    from vislam.data.find import search_path  # noqa: PLC0415
+    from vislam.data.recorded_drive import simulated_drive  # noqa: PLC0415
     from vislam.errors import ConfigError  # noqa: PLC0415
     from vislam.files import check_writable, replace_whole  # noqa: PLC0415
-    from vislam.simulation import simulate  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     simulation = config.data.simulation
@@ -55,7 +57,8 @@ def _simulate(options: argparse.Namespace) -> int:
     truth_path = options.out.with_name(f"{options.out.stem}_truth.tum")
     for path in (options.out, truth_path):
         check_writable(path)
-    sequence, truth = simulate(simulation, seed=config.seed, name=options.out.stem)
+    folders = search_path(options.data_dir)
+    sequence, truth = simulated_drive(simulation, seed=config.seed, name=options.out.stem, folders=folders)
     # The truth comes into being inside, so that neither file is there without the other.
     with replace_whole(options.out) as temporary:
         write_course_npz(temporary, sequence)

@@ -14,19 +14,8 @@ from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-# What the presets say that they match, to within so much, as a factor.
-WITHIN = 1.25
-MATCHED = (
-    "tracks in view, mean",
-    "track length, mean [frames]",
-    "share of tracks of length 1",
-    "disparity, quantile 0.25 [px]",
-    "disparity, quantile 0.5 [px]",
-    "disparity, quantile 0.75 [px]",
-    "one-frame residual, mean column [px]",
-    "one-frame residual, disparity [px]",
-    "one-frame residual, row [px]",
-)
+# The presets say 15 % at most; room is left for other versions of the libraries.
+WITHIN = 1.2
 
 
 def sequence_of(**settings):
@@ -63,8 +52,8 @@ def test_a_preset_has_the_tracks_of_its_recording(recording, preset):
     wanted = statistics(load_sequence(config, data_dir=folder, recorded=True))
     like = configuration.load(CONFIGS / preset)
     found = statistics(load_sequence(like, data_dir=None, recorded=False))
-    for name in MATCHED:
-        assert wanted[name] / WITHIN < found[name] < wanted[name] * WITHIN, name
+    for name, value in wanted.items():
+        assert value / WITHIN < found[name] < value * WITHIN, name
 
 
 def test_configs_with_other_repairs_are_refused(capsys):

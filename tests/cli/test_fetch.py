@@ -18,7 +18,8 @@ from tests.conftest import recorded
 from vislam.config import DataConfig
 from vislam.data import download
 from vislam.data.download import RECORDINGS, Recording, RemoteFile, cache_folder
-from vislam.data.source import find_file, open_dataset, search_path
+from vislam.data.find import find_file, search_path
+from vislam.data.source import open_dataset
 from vislam.errors import DataError
 from vislam.fetch import main
 

@@ -75,6 +75,7 @@ def test_the_seed_decides_and_equal_seeds_give_equal_bytes(tmp_path):
         ("name: n\ndata: {simulation: {path: spiral}}\n", [], "data.simulation.path"),
         (DRIVE, ["--set", "data.simulation.inertial_noise=step"], "must be sample"),
         (DRIVE, ["--seed", "-1"], "seed"),
+        (DRIVE, ["--set", "data.simulation.path=recorded"], "go together"),
         (MANY, [], "simulate fewer frames"),
     ],
 )
@@ -85,6 +86,25 @@ def test_bad_input_is_one_line_exit_code_2_and_no_file(tmp_path, capsys, text, a
     assert said in error
     assert error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["c.yaml"]
+
+
+ALONG = "name: n\ndata: {simulation: {frames: 20, path: recorded, recorded: {file: p.txt, format: kitti}}}\n"
+
+
+def test_a_drive_along_recorded_poses_finds_them_in_the_named_folder(tmp_path, capsys):
+    config, out = written(tmp_path / "c.yaml", ALONG), tmp_path / "drive.npz"
+    (tmp_path / "data").mkdir()
+    rows = [f"1 0 0 {1.3 * k} 0 1 0 0 0 0 1 0\n" for k in range(20)]
+    (tmp_path / "data" / "p.txt").write_text("".join(rows))
+    arguments = ["--config", config, "--out", str(out)]
+    assert main([*arguments, "--data-dir", str(tmp_path / "data")]) == 0
+    truth = np.loadtxt(tmp_path / "drive_truth.tum")
+    assert truth[:, 1] == pytest.approx(1.3 * np.arange(20), abs=1e-6)
+    capsys.readouterr()
+    assert main([*arguments, "--data-dir", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "p.txt: not found" in error
+    assert error.count("\n") == 1
 
 
 def test_neither_file_is_left_if_one_cannot_be_written(tmp_path, capsys):

@@ -30,6 +30,14 @@ DIGESTS = {
     ("straight", True): "2d709e7619646c95",
     ("loop", False): "c0f810d030bc2bf5",
     ("loop", True): "57803cf92afdd147",
+    ("urban", False): "79e1f89cebaea610",
+    ("urban", True): "007f40efad410cdb",
+    ("figure_eight", False): "d36d498930b5e162",
+    ("figure_eight", True): "1bc04c723a201900",
+    ("highway", False): "b495e415276d8da5",
+    ("highway", True): "1d887dfdeb4b89e1",
+    ("helix", False): "46e26e4492b52edf",
+    ("helix", True): "c40cd1ae44b2b9db",
 }
 
 
@@ -66,6 +74,18 @@ def digest(config):
 def test_old_paths_and_settings_simulate_what_they_always_did(path, faulty):
     config = SimulationConfig(frames=60, path=path, tracks_in_view=20, **(FAULTY if faulty else {}))
     assert digest(config) == DIGESTS[path, faulty]
+
+
+def test_dropped_frames_and_walking_biases_are_what_they_were_before_front_ends_re_detected():
+    config = SimulationConfig(
+        frames=60,
+        tracks_in_view=20,
+        dropped_probability=0.1,
+        gyro_bias_walk=1e-3,
+        velocity_bias_walk=0.01,
+        **FAULTY,
+    )
+    assert digest(config) == "a993f72d19f0b20c"
 
 
 @pytest.mark.parametrize("name", PATHS)

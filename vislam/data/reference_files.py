@@ -3,6 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,7 +18,7 @@ from vislam.types import Array, IntArray
 
 _log = logging.getLogger("vislam.data")
 
-_UPRIGHT = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
+UPRIGHT = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
 """From camera axes to x forward, y left, z up: planar and height then mean the same for all."""
 _ROTATION_TOLERANCE = 1e-3
 """How far R^T R may be from the identity; the files carry seven digits."""
@@ -81,7 +82,7 @@ def load_reference(path: Path, config: ReferenceConfig, *, imu_T_cam: Array, sta
         raise DataError(
             f"{path}: must cover {_FEWEST} of the {len(stamp)} frames or more, got {len(row)}; {remedy}"
         )
-    turn = _UPRIGHT if config.up == "-y" else np.eye(4)
+    turn = UPRIGHT if config.up == "-y" else np.eye(4)
     pose = None if rows.pose is None else turn @ rows.pose[row]
     return Reference(
         name=config.name,
@@ -92,6 +93,26 @@ def load_reference(path: Path, config: ReferenceConfig, *, imu_T_cam: Array, sta
         imu_T_point=imu_T_cam if config.pose_of == "left_camera" else np.eye(4),
         sigma=config.sigma_m,
     )
+
+
+def read_poses(path: Path, format: Literal["kitti", "tum"]) -> tuple[Array, Array]:
+    """Read the poses of a file without matching them with anything.
+
+    Returns
+    -------
+    at : (n,)
+        Place in the file, from 0 (``kitti``), or stamp [s] (``tum``).
+    pose : (n, 4, 4)
+
+    Raises
+    ------
+    DataError
+        As :func:`load_reference`, but for what concerns frames.
+    """
+    rows = _READERS[format](path)
+    _check(rows)
+    assert rows.pose is not None
+    return rows.at, rows.pose
 
 
 def _planar_xy(path: Path) -> _Rows:

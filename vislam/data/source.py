@@ -1,7 +1,6 @@
 """From a config's data section to a repaired sequence and its reference."""
 
 import logging
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,14 +9,14 @@ import numpy as np
 from vislam import repair
 from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.data.course_npz import load_course_npz
-from vislam.data.download import cache_folder, recording_with
+from vislam.data.find import find_file, not_found, search_path
 from vislam.data.gtsam_stereo import load_kitti00
 from vislam.data.oxts import with_oxts
+from vislam.data.recorded_drive import simulated_drive
 from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
-from vislam.simulation import simulate
 
 _log = logging.getLogger("vislam.data")
 
@@ -40,21 +39,6 @@ class Dataset:
     notes: tuple[str, ...]
 
 
-def search_path(data_dir: Path | None) -> list[Path]:
-    """Folders in which files are looked for: ``--data-dir``, ``$VISLAM_DATA``, ``data/``, the user cache.
-
-    The last is where ``python -m vislam.fetch`` puts them.
-    """
-    variable = os.environ.get("VISLAM_DATA")
-    folders = [data_dir, Path(variable) if variable else None, Path("data"), cache_folder()]
-    return [folder for folder in folders if folder is not None]
-
-
-def find_file(name: str, folders: list[Path]) -> Path | None:
-    """First file of that name in the folders, or None."""
-    return next((folder / name for folder in folders if (folder / name).is_file()), None)
-
-
 def open_dataset(
     config: DataConfig, *, seed: int, data_dir: Path | None = None, allow_stand_in: bool = True
 ) -> Dataset:
@@ -73,7 +57,7 @@ def open_dataset(
     Raises
     ------
     DataError
-        If the recording is missing and may not be replaced, or cannot be used.
+        If the recording, or the path of a simulation, is missing and may not be replaced, or cannot be used.
     """
     if config.packaged is not None:
         return _packaged(config, config.packaged, seed)
@@ -82,18 +66,8 @@ def open_dataset(
     if path is not None:
         return _recorded(config, path, folders)
     if config.file is not None and (not allow_stand_in or config.simulation is None):
-        raise DataError(_not_found(config.file, folders))
-    return _simulated(config, seed)
-
-
-def _not_found(name: str, folders: list[Path]) -> str:
-    looked = ", ".join(str(folder) for folder in folders)
-    known = recording_with(name)
-    fetch = "" if known is None else f", or fetch it with python -m vislam.fetch {known}"
-    return (
-        f"{name}: not found in {looked}; put it into one of these folders, or name its folder "
-        f"with --data-dir or $VISLAM_DATA{fetch}"
-    )
+        raise DataError(not_found(config.file, folders))
+    return _simulated(config, seed, folders)
 
 
 def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
@@ -143,11 +117,11 @@ def _packaged(config: DataConfig, packaged: PackagedConfig, seed: int) -> Datase
     return Dataset(_repaired(raw, config), reference, (note,))
 
 
-def _simulated(config: DataConfig, seed: int) -> Dataset:
+def _simulated(config: DataConfig, seed: int, folders: list[Path]) -> Dataset:
     assert config.simulation is not None
     wanted = config.file
     name = "simulation" if wanted is None else f"stand-in for {wanted}"
-    raw, truth = simulate(config.simulation, seed=seed, name=name)
+    raw, truth = simulated_drive(config.simulation, seed=seed, name=name, folders=folders)
     sequence = _repaired(raw, config)
     track, first = np.unique(sequence.track, return_index=True)
     points = truth.points_world[sequence.row[first]]

@@ -9,7 +9,7 @@ from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.repair.mounting import axes_rotation
 from vislam.sensors import CAMERA_AXES, StereoRig
-from vislam.simulation.path import DrivePath
+from vislam.simulation.path import BodyPath, DrivePath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks
 from vislam.types import Array
@@ -34,7 +34,9 @@ class Truth:
     points_world: Array
 
 
-def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequence, Truth]:
+def simulate(
+    config: SimulationConfig, *, seed: int, name: str, path: BodyPath | None = None
+) -> tuple[Sequence, Truth]:
     """Simulate a drive.
 
     Parameters
@@ -44,15 +46,25 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
         Equal seeds give equal sequences.
     name : str
         Name of the sequence.
+    path : BodyPath, optional
+        What the body drives along; by default the shape that the config names.
 
     Returns
     -------
     Sequence
         As a recording would be read, faults included: nothing in it is repaired.
     Truth
+
+    Raises
+    ------
+    ValueError
+        If the config names a recorded path and none is given.
     """
     generator = np.random.default_rng(seed)
-    path = DrivePath(config, generator)
+    if path is None:
+        if config.recorded is not None:
+            raise ValueError("path: recorded needs the poses: see vislam.data.recorded_drive")
+        path = DrivePath(config, generator)
     stamp: Array = config.period * np.arange(config.frames, dtype=np.float64)
     world_T_imu = path.pose(stamp)
     origin = se3.inverse(world_T_imu[0])
@@ -61,7 +73,6 @@ def simulate(config: SimulationConfig, *, seed: int, name: str) -> tuple[Sequenc
 
     by_step = config.inertial_noise == "step"
     clean = _step_twist(config, stamp, world_T_imu) if by_step else _sampled_twist(config, stamp, path)
-    sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
     sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
     noise = sigma * generator.standard_normal(clean.shape)
     tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
@@ -106,7 +117,7 @@ def _bias(config: SimulationConfig, generator: np.random.Generator) -> Array:
     return np.asarray(constant + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)]))
 
 
-def _sampled_twist(config: SimulationConfig, stamp: Array, path: DrivePath) -> Array:
+def _sampled_twist(config: SimulationConfig, stamp: Array, path: BodyPath) -> Array:
     """Twist ``(T, 6)`` of the samples without bias and noise."""
     sampled_at = stamp - config.clock_offset
     twist = path.twist(sampled_at)

@@ -1,5 +1,8 @@
 """Smooth drives: the pose of the body at any time."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
 
 from vislam.geometry import se3, so3
@@ -11,6 +14,28 @@ _REAR_AXLE = 1.0
 """Distance of the body frame's origin ahead of the point that moves straight ahead [m]."""
 _FINE = 20
 """Integration steps of the plane path per frame."""
+
+
+class BodyPath(Protocol):
+    """What a simulation needs of a path: functions of times ``(n,)`` [s]."""
+
+    def pose(self, time: Array) -> Array:
+        """World pose ``(n, 4, 4)`` of the body."""
+        ...
+
+    def twist(self, time: Array) -> Array:
+        """Body twist ``(n, 6)`` (omega, v) [rad/s, m/s]."""
+        ...
+
+    def climb_rate(self, time: Array) -> Array:
+        """Rate of the height ``(n,)`` [m/s]."""
+        ...
+
+
+def central_twist(pose: Callable[[Array], Array], time: Array) -> Array:
+    """Body twist ``(n, 6)`` at times ``(n,)``, by central differences of the pose over 2 ms."""
+    half = 1e-3
+    return se3.local(pose(time - half), pose(time + half)) / (2.0 * half)
 
 
 class DrivePath:
@@ -51,8 +76,7 @@ class DrivePath:
 
     def twist(self, time: Array) -> Array:
         """Body twist ``(n, 6)`` at times ``(n,)``, by central differences of the pose over 2 ms."""
-        half = 1e-3
-        return se3.local(self.pose(time - half), self.pose(time + half)) / (2.0 * half)
+        return central_twist(self.pose, time)
 
     def climb_rate(self, time: Array) -> Array:
         """Rate of the height ``(n,)`` at times ``(n,)`` [m/s]."""

@@ -33,6 +33,23 @@ class RigConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RecordedPathConfig:
+    """Recorded poses that a simulated drive follows."""
+
+    file: str
+    """File of poses, searched for where recordings are."""
+    format: Literal["kitti", "tum"]
+    """``kitti``: 12 numbers a line (3 x 4, row by row), one pose a period. ``tum``: stamp, x, y, z, qx, qy,
+    qz, qw; the first stamp is the start."""
+    pose_of: Literal["imu", "left_camera"] = "imu"
+    """What its poses are those of; a left camera is taken to sit in the body as that of ``rig``."""
+    up: Literal["z", "-y"] = "z"
+    """Axis of its world that points up; "-y" where the world has a camera's axes, as in KITTI odometry."""
+    knot_spacing: Positive = 0.4
+    """Time between the knots of the splines through the poses: what is quicker is taken for jitter [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SimulationConfig:
     """A simulated drive: path, inertial data, stereo tracks and the faults of a recording."""
 
@@ -40,10 +57,15 @@ class SimulationConfig:
     """Number of frames."""
     period: Positive = 0.1046
     """Time between frames [s]."""
-    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix"] = "town"
+    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "recorded"] = (
+        "town"
+    )
     """Shape of the drive. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
     circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
-    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade."""
+    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade.
+    ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
+    recorded: RecordedPathConfig | None = None
+    """The poses of ``path: recorded``, and of no other."""
     speed: Positive = 12.7
     """Mean speed [m/s]."""
     hills_m: NonNegative = 4.0
@@ -51,9 +73,26 @@ class SimulationConfig:
     rig: RigConfig = RigConfig()
     """The stereo pair."""
     tracks_in_view: Positive = 66.0
-    """Mean number of stereo tracks in view."""
+    """Mean number of stereo tracks in view to which new ones are born."""
+    tracks_spread: NonNegative = 0.08
+    """Standard deviation of that number from frame to frame, as a share of it."""
+    redetect_below: Positive | None = None
+    """Number of tracks in view below which the front end re-detects in the next frame, but never twice on
+    end: that frame is stale, no track is lost in it, and tracks are born in it and in no other. Null: tracks
+    are born in every frame."""
+    shortest_track: Annotated[int, Field(ge=1)] = 1
+    """Tracks with fewer observations than this are not written."""
     loss_probability: Probability = 0.04
     """Chance that a track in view is lost in a frame."""
+    loss_flow_px: Positive | None = None
+    """Flow in a frame at which a track is kept with a chance of 1/e, besides; the chance falls exponentially
+    with the flow, so that fast tracks are lost sooner. Null: the flow does not matter [px]."""
+    landmarks: Literal["births", "field"] = "births"
+    """What new tracks follow. ``births``: points of their own, anywhere in the image. ``field``: points of a
+    fixed field of facades and ground along the way, which can be found again, so that one landmark can have
+    several tracks; after a stale frame a track follows a point of its own there too."""
+    field_per_metre: Positive = 10.0
+    """Points of the field, in each metre of the way."""
     depth_min: Positive = 5.0
     """Nearest depth at which a track is born [m]."""
     depth_max: Positive = 120.0
@@ -62,6 +101,8 @@ class SimulationConfig:
     """White noise of uL, vL, uR and vR [px]."""
     match_px: NonNegative = 0.0
     """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
+    match_share: NonNegative = 0.0
+    """More of that error, as a share of the disparity; Student-distributed with two degrees of freedom."""
     outlier_probability: Probability = 0.0
     """Chance that an observation is off by up to 50 px."""
     stale_probability: Probability = 0.0
@@ -102,3 +143,8 @@ class SimulationConfig:
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
     levelled_velocity: bool = False
     """Write the climb rate as the third velocity component, as KITTI's recordings have it."""
+
+    def __post_init__(self) -> None:
+        """Refuse a recorded path without poses, and poses that would go unheard."""
+        if (self.path == "recorded") != (self.recorded is not None):
+            raise ValueError("path: recorded and the section recorded, with its file, go together: give both")
