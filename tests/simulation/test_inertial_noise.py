@@ -84,3 +84,17 @@ def test_samples_are_what_they_were_before_there_were_steps():
     assert sequence.pixels[-1] == pytest.approx(
         [238.79105815435346, 95.95211510757404, 231.66897920008319, 96.02095277132366], rel=1e-9
     )
+
+
+def test_each_seed_draws_its_bias_about_the_stated_one_and_nothing_else_changes():
+    short = replace(QUIET, frames=3)
+    drawn = replace(short, gyro_bias_sigma=(0.02, 0.01, 0.0), velocity_bias_sigma=(0.01, 0.05, 0.02))
+    sigma = np.array([0.02, 0.01, 0.0, 0.01, 0.05, 0.02])
+    found = np.array([simulate(drawn, seed=seed, name="s")[1].bias for seed in range(200)])
+    stated = np.array([*QUIET.gyro_bias, *QUIET.velocity_bias])
+    assert np.all(np.abs(found.mean(axis=0) - stated) <= 5.0 * sigma / np.sqrt(200) + 1e-12)
+    assert np.all(np.abs(found.std(axis=0) - sigma) <= 5.0 * sigma / np.sqrt(400) + 1e-12)
+    one, other = simulate(drawn, seed=7, name="s")[0], simulate(short, seed=7, name="s")[0]
+    assert np.array_equal(one.pixels, other.pixels)
+    shift = found[7] - stated
+    assert np.allclose(one.twist - other.twist, shift, atol=1e-12)

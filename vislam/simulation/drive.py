@@ -110,6 +110,9 @@ def simulate(
 def _bias(config: SimulationConfig, generator: np.random.Generator) -> Array:
     """Bias ``(6,)`` or, if it walks, at each frame ``(T, 6)``, kept through the step that follows."""
     constant = np.array([*config.gyro_bias, *config.velocity_bias])
+    sigma = np.array([*config.gyro_bias_sigma, *config.velocity_bias_sigma])
+    if sigma.any():
+        constant = constant + sigma * generator.standard_normal(6)
     walk = np.repeat([config.gyro_bias_walk, config.velocity_bias_walk], 3)
     if not walk.any():
         return constant

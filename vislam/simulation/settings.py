@@ -7,6 +7,8 @@ from pydantic.dataclasses import dataclass
 
 from vislam.fields import STRICT, NonNegative, Positive, Probability, Vector3
 
+SigmaVector = tuple[NonNegative, NonNegative, NonNegative]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class RigConfig:
@@ -113,6 +115,10 @@ class SimulationConfig:
     """Constant bias of the angular velocity [rad/s]."""
     velocity_bias: Vector3 = (0.0, 0.0, 0.0)
     """Constant bias of the velocity [m/s]."""
+    gyro_bias_sigma: SigmaVector = (0.0, 0.0, 0.0)
+    """Standard deviation of what each seed adds to the bias of the angular velocity [rad/s]."""
+    velocity_bias_sigma: SigmaVector = (0.0, 0.0, 0.0)
+    """The same of the velocity's [m/s]."""
     gyro_bias_walk: NonNegative = 0.0
     """Random walk of the bias of the angular velocity, which then begins at the constant [rad/s/sqrt(s)]."""
     velocity_bias_walk: NonNegative = 0.0
