@@ -51,7 +51,7 @@ def ran(monkeypatch):
 
     monkeypatch.setattr("vislam.study.cluster.Cluster.connect", lambda self: Here())
     monkeypatch.setattr(conduct, "run_trials", run_here)
-    monkeypatch.setattr(conduct, "_address", lambda client: "here")
+    monkeypatch.setattr(conduct, "watch_at", lambda client: "here")
     return seen
 
 

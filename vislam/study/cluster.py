@@ -5,10 +5,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import dask
 from distributed import Client, LocalCluster, as_completed
 from distributed.client import ClosedClientError
 
@@ -22,6 +24,8 @@ LOST = "lost"
 _OUTSTANDING = 4
 """Trials that are under way or wait, for each worker."""
 _RETRIES = 2
+_LOCAL = {"distributed.worker.profile.enabled": False}
+"""Nobody looks at Dask's own profile of the workers, which stops them a hundred times a second."""
 _PATIENCE = 30.0
 """How long to wait for a scheduler, and for its first worker [s]."""
 
@@ -72,7 +76,7 @@ def run_trials(
     Raises
     ------
     ConfigError
-        If a worker that joined later has other code.
+        If a worker that joined later has other code, or none.
     DataError
         If the scheduler is lost.
     """
@@ -81,17 +85,28 @@ def run_trials(
     def submit(trial: Trial) -> Any:
         key = f"trial-{trial.id}"
         under_way[key] = trial
-        return client.submit(work, trial.point.tree, trial.seed, key=key, retries=_RETRIES, pure=False)
+        with _told():
+            return client.submit(work, trial.point.tree, trial.seed, key=key, retries=_RETRIES, pure=False)
 
     window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
     finished = as_completed([submit(trial) for trial in islice(trials, window)])
     for future in finished:
         trial = under_way.pop(future.key)
-        result = _result(future)
+        with _told():
+            result = _result(future)
         future.release()
         for following in islice(trials, 1):
             finished.add(submit(following))
         yield trial, result
+
+
+def watch_at(client: Client) -> str:
+    """Where to watch the workers: the dashboard needs bokeh where the scheduler runs, nothing else does."""
+    try:
+        client.run_on_scheduler(version, "bokeh")
+    except PackageNotFoundError:
+        return f"scheduler: {client.scheduler.address}"
+    return f"dashboard: {client.dashboard_link}"
 
 
 def _result(future: Any) -> dict[str, Any]:
@@ -99,9 +114,9 @@ def _result(future: Any) -> dict[str, Any]:
     try:
         result: dict[str, Any] = future.result()
     except (CancelledError, ClosedClientError):
-        raise DataError(
-            "the connection to the Dask scheduler is lost; finished trials are kept, run the study again"
-        ) from None
+        raise
+    except ImportError as error:
+        raise ConfigError(_cannot_import("a worker", error)) from None
     except Exception as error:
         # The trial itself turns what goes wrong into a result: this is its worker.
         reason = f"{type(error).__name__}: {first_line(error)}"
@@ -112,16 +127,30 @@ def _result(future: Any) -> dict[str, Any]:
 
 
 @contextmanager
+def _told() -> Iterator[None]:
+    """Say in one line that the scheduler is gone."""
+    try:
+        yield
+    except (CancelledError, ClosedClientError):
+        raise DataError(
+            "the connection to the Dask scheduler is lost; finished trials are kept, run the study again"
+        ) from None
+
+
+@contextmanager
 def _local(workers: int | None) -> Iterator[LocalCluster]:
-    """Processes of this machine, one thread each."""
-    with LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
-        preload="vislam.study.local_worker",
-    ) as cluster:
+    """Processes of this machine, one thread each, whose BLAS Dask keeps to one as well."""
+    with (
+        dask.config.set(_LOCAL),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            preload="vislam.study.local_worker",
+        ) as cluster,
+    ):
         yield cluster
 
 
@@ -146,9 +175,7 @@ def _refuse_other_workers(client: Client, where: str) -> None:
         raise ConfigError(f"{where}: the scheduler has no worker; start one with dask worker") from None
     except Exception as error:
         # Whatever unpickling or importing the package raises over there.
-        raise ConfigError(
-            f"{where}: a worker cannot import vislam ({first_line(error)}); install it there as it is here"
-        ) from None
+        raise ConfigError(_cannot_import(f"{where}: a worker", error)) from None
     for worker, code in found.items():
         if code != code_digest():
             raise ConfigError(_other_code(code, f"worker {worker}"))
@@ -156,3 +183,7 @@ def _refuse_other_workers(client: Client, where: str) -> None:
 
 def _other_code(code: str, who: str) -> str:
     return f"{who} has vislam of code {code}, here it is {code_digest()}; install the same there"
+
+
+def _cannot_import(who: str, error: Exception) -> str:
+    return f"{who} cannot import vislam ({first_line(error)}); install it there as it is here"

@@ -5,7 +5,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,11 @@ from vislam.comparison import build_estimators, code_digest, provenance
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError
+from vislam.report.study_labels import ERRORS, TIME
 from vislam.report.study_page import write_study_page
-from vislam.study.cluster import LOST, Cluster, run_trials
-from vislam.study.folder import StudyFolder
+from vislam.study.answers import COVERAGE, NEES
+from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
+from vislam.study.folder import StudyFolder, told
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig
 from vislam.study.summary import HEADER, rows_of
@@ -26,6 +27,8 @@ from vislam.terminal import Terminal
 
 SCHEMA_VERSION = 1
 _ID_DIGITS = 10
+_SHOWN = frozenset((*ERRORS, TIME, NEES, COVERAGE))
+"""Metrics that the table and the page look at: a trial has hundreds, and each costs memory."""
 
 
 @dataclass(frozen=True)
@@ -89,38 +92,27 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) 
     terminal.note(f"{total} trials, {total - missing} of them are finished")
     if missing:
         _run_missing(plan, folder, cluster, terminal, missing)
-    return _conclude(plan, folder, terminal)
+    return conclude(plan, folder, terminal)
 
 
 def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
     """Run the ``number`` trials that have no result yet."""
     missing = (trial for trial in plan.trials() if folder.find(trial) is None)
     with cluster.connect() as client:
-        terminal.note(_address(client))
+        terminal.note(watch_at(client))
         with terminal.progress("trials", number) as bar:
             for finished, (trial, result) in enumerate(run_trials(client, missing), start=1):
                 folder.save(trial, result)
                 bar.update(0, completed=finished)  # type: ignore[arg-type]
 
 
-def _address(client: Any) -> str:
-    """Where to watch the workers: the dashboard needs bokeh, which nothing else does."""
-    if find_spec("bokeh") is not None and client.dashboard_link:
-        return f"dashboard: {client.dashboard_link}"
-    return f"scheduler: {client.scheduler.address}"
-
-
-def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
+def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials."""
     swept = tuple(plan.points[0].values)
-    folder.write_table(plan.trials(), swept=swept, metrics=plan.study.metrics)
-    records = [
-        {"seed": trial.seed, "point": trial.point.values, **found}
-        for trial in plan.trials()
-        if (found := folder.find(trial)) is not None
-    ]
-    counts = Counter(record["status"] for record in records)
-    lost = len(plan.points) * plan.study.seeds - len(records)
+    folder.write_table(plan.trials, swept=swept, metrics=plan.study.metrics)
+    counts: Counter[str] = Counter()
+    trials = Trials.of_records(_records(plan, folder, counts), keys=_SHOWN)
+    lost = len(plan.points) * plan.study.seeds - len(trials)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "name": plan.config.name,
@@ -133,18 +125,26 @@ def _conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     }
     folder.write_json(folder.path / "study.json", document)
     title = f"vislam {plan.config.name} [SIMULATED]"
-    trials = Trials.of_records(records)
     terminal.rows(HEADER, rows_of(trials), title=title)
-    write_study_page(
-        folder.path / "study.html",
-        title=title,
-        trials=trials,
-        notes=("SIMULATED: every trial is a simulated drive",),
-        config=configuration.dump(plan.config),
-        provenance="\n".join(f"{key}: {value}" for key, value in document["provenance"].items()),
-    )
+    page = folder.path / "study.html"
+    with told(page):
+        write_study_page(
+            page,
+            title=title,
+            trials=trials,
+            notes=("SIMULATED: every trial is a simulated drive",),
+            config=configuration.dump(plan.config),
+            provenance="\n".join(f"{key}: {value}" for key, value in document["provenance"].items()),
+        )
     if lost:
         terminal.note(f"{lost} trials were lost with their workers; run the study again to repeat them")
     terminal.note(f"trials: {folder.path / 'trials.csv'}")
-    terminal.note(f"study: {folder.path / 'study.html'}")
+    terminal.note(f"study: {page}")
     return lost
+
+
+def _records(plan: Plan, folder: StudyFolder, counts: Counter[str]) -> Iterator[dict[str, Any]]:
+    """Finished trials one after the other, whose statuses are counted on the way."""
+    for trial, found in folder.finished(plan.trials()):
+        counts[found["status"]] += 1
+        yield {"seed": trial.seed, "point": trial.point.values, **found}
