@@ -1,4 +1,4 @@
-"""``python -m benchmarks.study_scaling``: how much faster two workers are than one. It measures, never asserts.
+"""``python -m benchmarks.study_scaling``: how much faster two workers are than one; it never asserts.
 
 The same trials run with each number of workers, and the start of these is told apart. Other work on the
 machine spoils the ratio: the load before each run is told, and how much of its time a worker had a CPU.

@@ -47,9 +47,9 @@ def scheduler(folder):
 
 
 def worker(file, *, env=None):
-    """Process of a worker with one thread, which the scheduler's file leads to its scheduler."""
+    """Process of a worker with one thread; it starts where there is no vislam to be found by chance."""
     arguments = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
-    return python("-m", "dask", "worker", "--scheduler-file", file, *arguments, env=env)
+    return python("-m", "dask", "worker", "--scheduler-file", file, *arguments, env=env, cwd=file.parent)
 
 
 def address(file):

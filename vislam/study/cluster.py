@@ -76,7 +76,7 @@ def run_trials(
     Raises
     ------
     ConfigError
-        If a worker that joined later has other code, or none.
+        If a worker that joined later has other code. One that has none drops out by itself.
     DataError
         If the scheduler is lost.
     """
@@ -115,8 +115,6 @@ def _result(future: Any) -> dict[str, Any]:
         result: dict[str, Any] = future.result()
     except (CancelledError, ClosedClientError):
         raise
-    except ImportError as error:
-        raise ConfigError(_cannot_import("a worker", error)) from None
     except Exception as error:
         # The trial itself turns what goes wrong into a result: this is its worker.
         reason = f"{type(error).__name__}: {first_line(error)}"
@@ -170,20 +168,25 @@ def _refuse_other_workers(client: Client, where: str) -> None:
     """Raise ConfigError unless there are workers and all have this code."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
-        found = client.run(code_digest)
+        found = client.run(_ready)
     except TimeoutError:
         raise ConfigError(f"{where}: the scheduler has no worker; start one with dask worker") from None
     except Exception as error:
         # Whatever unpickling or importing the package raises over there.
-        raise ConfigError(_cannot_import(f"{where}: a worker", error)) from None
+        raise ConfigError(
+            f"{where}: a worker cannot import vislam ({first_line(error)}); install it there as it is here"
+        ) from None
     for worker, code in found.items():
         if code != code_digest():
             raise ConfigError(_other_code(code, f"worker {worker}"))
 
 
+def _ready() -> str:
+    """Import what the first trial would import, and give the code of this process."""
+    import gtsam  # noqa: F401, PLC0415
+
+    return code_digest()
+
+
 def _other_code(code: str, who: str) -> str:
     return f"{who} has vislam of code {code}, here it is {code_digest()}; install the same there"
-
-
-def _cannot_import(who: str, error: Exception) -> str:
-    return f"{who} cannot import vislam ({first_line(error)}); install it there as it is here"
