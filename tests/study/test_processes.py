@@ -72,16 +72,19 @@ def command(folder, *options, env=None):
 
 def without_vislam(folder):
     """Environment of a process that does not find the package."""
-    (folder / "sitecustomize.py").write_text("import sys\nsys.modules['vislam'] = None\n", encoding="utf-8")
-    return environment(folder)
+    place = folder / "python"
+    place.mkdir()
+    (place / "sitecustomize.py").write_text("import sys\nsys.modules['vislam'] = None\n", encoding="utf-8")
+    return environment(place)
 
 
 def other_vislam(folder):
     """Environment of a process that finds the package with a line more."""
-    shutil.copytree(ROOT / "vislam", folder / "vislam", ignore=shutil.ignore_patterns("__pycache__"))
-    with (folder / "vislam" / "motion.py").open("a", encoding="utf-8") as file:
+    package = folder / "python" / "vislam"
+    shutil.copytree(ROOT / "vislam", package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (package / "motion.py").open("a", encoding="utf-8") as file:
         file.write("\n# A change.\n")
-    return environment(folder)
+    return environment(package.parent)
 
 
 def test_a_killed_worker_costs_no_trial_and_repeats_only_what_it_held(tmp_path):
