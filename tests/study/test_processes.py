@@ -1,11 +1,13 @@
 """A study on a real scheduler and real workers: what dies, is missing or is another version."""
 
 import os
+import resource
 import shutil
 import signal
 import time
 from collections import Counter
 from itertools import count
+from pathlib import Path
 
 import psutil
 import pytest
@@ -64,10 +66,10 @@ def planned(folder, *, seeds):
     return Plan.of(configuration.load(small(folder), overrides={"study.seeds": seeds})).trials()
 
 
-def command(folder, *options, env=None):
+def command(folder, *options, **how):
     """The command on a small study."""
     arguments = ("-m", "vislam.study", "--config", small(folder), "--out", folder / "out")
-    return python(*arguments, *options, env=env, start_new_session=True)
+    return python(*arguments, *options, **how)
 
 
 def without_vislam(folder):
@@ -174,3 +176,25 @@ def test_a_killed_driver_leaves_no_process_and_its_study_goes_on(tmp_path):
     assert f"40 trials, {len(finished)} of them are finished" in out
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     assert len(list(saved.glob("*/trials/*.json"))) == 40
+
+
+def test_a_file_system_that_takes_no_more_ends_the_study_with_a_line(tmp_path):
+    def little():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    with command(tmp_path, "--workers", "2", preexec_fn=little) as study:
+        _, error = study.communicate(timeout=60)
+    assert study.returncode == 2
+    assert "cannot be written (File too large); finished trials are kept" in error
+    assert len(error.splitlines()) == 1
+    assert not list((tmp_path / "out").glob("*/trials/*"))
+
+
+def test_a_thousand_trials_take_no_more_memory_than_a_hundred(tmp_path):
+    with python(Path(__file__).with_name("thousand.py"), tmp_path / "study") as process:
+        out, error = process.communicate(timeout=240)
+    assert process.returncode == 0, error
+    ran, concluded = ([float(item) for item in line.split()] for line in out.splitlines())
+    # A result takes over 0.1 MB; Dask keeps the last thousand events of each kind.
+    assert ran[-1] - ran[0] < 60.0
+    assert concluded[-1] - concluded[0] < 4.0

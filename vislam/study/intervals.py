@@ -12,7 +12,7 @@ from vislam.types import Array, IntArray
 PROBABILITY = 0.95
 """Probability with which an interval is to hold the truth."""
 _RESAMPLES = 4000
-_AT_ONCE = 1_000_000
+_AT_ONCE = 100_000
 """Values that are drawn at a time, so that memory does not grow with the number of trials."""
 _SEED = 1927
 
