@@ -197,4 +197,4 @@ def test_a_thousand_trials_take_no_more_memory_than_a_hundred(tmp_path):
     ran, concluded = ([float(item) for item in line.split()] for line in out.splitlines())
     # A result takes over 0.1 MB; Dask keeps the last thousand events of each kind.
     assert ran[-1] - ran[0] < 60.0
-    assert concluded[-1] - concluded[0] < 4.0
+    assert concluded[-1] - concluded[0] < 30.0

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import resource
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
 from vislam.study.trial import nothing, run_trial
+from vislam.terminal import Terminal
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SMALL = """
@@ -110,6 +112,24 @@ def test_more_seeds_go_on_where_the_study_was(ran):
     assert len(table()) == 6
 
 
+def test_the_longest_drives_run_first_and_the_table_keeps_its_order(ran):
+    assert study("--set", "study.grid={data.simulation.frames: [15, 25, 20]}") == 0
+    assert [(point["data.simulation.frames"], seed) for point, seed in ran] == [
+        *((25, 5), (25, 6), (20, 5), (20, 6), (15, 5), (15, 6))
+    ]
+    assert [row["data.simulation.frames"] for row in table()] == ["15", "15", "25", "25", "20", "20"]
+
+
+def test_the_time_left_is_known_of_trials_that_take_minutes():
+    now = [0.0]
+    with Terminal().progress("trials", 10) as bar:
+        bar.get_time = lambda: now[0]
+        for finished in range(4):
+            now[0] = 150.0 * finished
+            bar.update(0, completed=finished)
+        assert bar.tasks[0].time_remaining == pytest.approx(7 * 150.0, rel=0.01)
+
+
 def test_only_the_metrics_that_are_asked_for_are_columns(ran):
     assert study("--set", "study.metrics=[ate_rmse]", "--set", "study.seeds=1") == 0
     assert list(table()[0])[-3:] == ["seconds", "dead_reckoning.ate_rmse", "ekf.ate_rmse"]
@@ -197,6 +217,25 @@ def test_a_full_disk_is_one_line_and_2(ran, monkeypatch, capsys):
     assert "cannot be written (No space left on device)" in said
     assert len(said.splitlines()) == 1
     assert list(only("*/trials").iterdir()) == []
+
+
+def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_start(ran, capsys):
+    assert study() == 0
+    only("*/study.html").unlink()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The trials and their table are smaller, the page is not.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (80_000, hard))
+    try:
+        assert study() == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capsys.readouterr().err
+    assert "study.html: cannot be written (File too large)" in said
+    assert len(said.splitlines()) == 1
+    assert sorted(path.name for path in only("small-*").iterdir()) == ["study.json", "trials", "trials.csv"]
+    assert study() == 0
+    assert len(ran) == 4
+    assert only("*/study.html").stat().st_size > 80_000
 
 
 @pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), CONFIGS / "monte_carlo.yaml"])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -102,9 +102,7 @@ def run_trials(
 
 def watch_at(client: Client) -> str:
     """Where to watch the workers: the dashboard needs bokeh where the scheduler runs, nothing else does."""
-    try:
-        client.run_on_scheduler(version, "bokeh")
-    except PackageNotFoundError:
+    if client.run_on_scheduler(find_spec, "bokeh") is None:
         return f"scheduler: {client.scheduler.address}"
     return f"dashboard: {client.dashboard_link}"
 

@@ -62,6 +62,11 @@ class Plan:
         first = self.config.seed
         return all_trials(self.points, seeds=range(first, first + self.study.seeds), code=code_digest())
 
+    def longest_first(self) -> "Plan":
+        """The same study with its longest drives first: in the end no worker waits long for another's."""
+        points = sorted(self.points, key=_frames, reverse=True)
+        return replace(self, points=points)
+
     @property
     def id(self) -> str:
         """Hash of config and code; with more seeds a study goes on, so they do not count."""
@@ -97,13 +102,19 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) 
 
 def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
     """Run the ``number`` trials that have no result yet."""
-    missing = (trial for trial in plan.trials() if folder.find(trial) is None)
+    missing = (trial for trial in plan.longest_first().trials() if folder.find(trial) is None)
     with cluster.connect() as client:
         terminal.note(watch_at(client))
         with terminal.progress("trials", number) as bar:
             for finished, (trial, result) in enumerate(run_trials(client, missing), start=1):
                 folder.save(trial, result)
                 bar.update(0, completed=finished)  # type: ignore[arg-type]
+
+
+def _frames(point: Point) -> int:
+    """Length of a point's drive; 0 for packaged data, of which all points have the same."""
+    simulation = point.tree["data"]["simulation"]
+    return 0 if simulation is None else int(simulation["frames"])
 
 
 def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
