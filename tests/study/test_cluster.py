@@ -65,6 +65,18 @@ def test_trials_are_drawn_only_as_others_finish(client):
     running.close()
 
 
+def test_workers_that_come_later_get_trials_too(client, monkeypatch):
+    workers, held = {"a": 1}, []
+    monkeypatch.setattr(client, "nthreads", lambda: workers)
+    for place, _ in enumerate(run_trials(client, trials(60), work=work)):
+        held.append(len(client.futures))
+        if place == 9:
+            workers["b"] = 1
+    # Four for each, and the one that has just come back.
+    assert max(held[:10]) <= 5
+    assert max(held[11:]) in (8, 9)
+
+
 def test_a_trial_that_its_worker_cannot_return_is_lost_and_says_why(client):
     def broken(tree, seed):
         raise MemoryError("out of memory")

@@ -13,6 +13,7 @@ from typing import Any
 import dask
 from distributed import Client, LocalCluster, as_completed
 from distributed.client import ClosedClientError
+from distributed.comm import CommClosedError
 
 from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError, first_line
@@ -81,22 +82,25 @@ def run_trials(
         If the scheduler is lost.
     """
     under_way: dict[str, Trial] = {}
+    finished = as_completed()
 
-    def submit(trial: Trial) -> Any:
-        key = f"trial-{trial.id}"
-        under_way[key] = trial
+    def top_up() -> None:
         with _told():
-            return client.submit(work, trial.point.tree, trial.seed, key=key, retries=_RETRIES, pure=False)
+            # Workers come and go: a cluster's queue lets them in one after the other.
+            window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
+            for trial in islice(trials, max(0, window - len(under_way))):
+                key = f"trial-{trial.id}"
+                under_way[key] = trial
+                tree, seed = trial.point.tree, trial.seed
+                finished.add(client.submit(work, tree, seed, key=key, retries=_RETRIES, pure=False))
 
-    window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
-    finished = as_completed([submit(trial) for trial in islice(trials, window)])
+    top_up()
     for future in finished:
         trial = under_way.pop(future.key)
         with _told():
             result = _result(future)
         future.release()
-        for following in islice(trials, 1):
-            finished.add(submit(following))
+        top_up()
         yield trial, result
 
 
@@ -111,7 +115,7 @@ def _result(future: Any) -> dict[str, Any]:
     """Result of a finished trial, or what there is to say of one whose workers died."""
     try:
         result: dict[str, Any] = future.result()
-    except (CancelledError, ClosedClientError):
+    except (CancelledError, ClosedClientError, CommClosedError):
         raise
     except Exception as error:
         # The trial itself turns what goes wrong into a result: this is its worker.
@@ -127,7 +131,7 @@ def _told() -> Iterator[None]:
     """Say in one line that the scheduler is gone."""
     try:
         yield
-    except (CancelledError, ClosedClientError):
+    except (CancelledError, ClosedClientError, CommClosedError):
         raise DataError(
             "the connection to the Dask scheduler is lost; finished trials are kept, run the study again"
         ) from None
