@@ -4,6 +4,7 @@ import os
 import resource
 import shutil
 import signal
+import sys
 import time
 from collections import Counter
 from itertools import count
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from threadpoolctl import threadpool_info
 
 from tests.study.processes import ROOT, address, environment, python, scheduler, until, worker
 from vislam import config as configuration
@@ -176,6 +178,18 @@ def test_a_killed_driver_leaves_no_process_and_its_study_goes_on(tmp_path):
     assert f"40 trials, {len(finished)} of them are finished" in out
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     assert len(list(saved.glob("*/trials/*.json"))) == 40
+
+
+def test_workers_of_this_machine_have_one_blas_thread_and_have_imported_the_solvers(monkeypatch):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+
+    def state():
+        threads = {library["num_threads"] for library in threadpool_info()}
+        return threads, "gtsam" in sys.modules
+
+    with Cluster(workers=2).connect() as client:
+        assert list(client.run(state).values()) == [({1}, True)] * 2
 
 
 def test_a_file_system_that_takes_no_more_ends_the_study_with_a_line(tmp_path):

@@ -26,7 +26,7 @@ _OUTSTANDING = 4
 """Trials that are under way or wait, for each worker."""
 _RETRIES = 2
 _LOCAL = {"distributed.worker.profile.enabled": False}
-"""Nobody looks at Dask's own profile of the workers, which stops them a hundred times a second."""
+"""Dask would look a hundred times a second at what a worker does, for a profile that nobody asks for."""
 _PATIENCE = 30.0
 """How long to wait for a scheduler, and for its first worker [s]."""
 
