@@ -13,6 +13,8 @@ from vislam.report.table import Table
 
 _FEWEST_COLUMNS = 100
 """Width of a table that goes to a file or a pipe."""
+_REMEMBERED = 3600.0
+"""Time over which a bar averages its speed [s]: a trial of a study may take minutes."""
 
 
 class Terminal:
@@ -39,6 +41,7 @@ class Terminal:
             console=self._console,
             disable=self._quiet or not self._console.is_terminal,
             transient=True,
+            speed_estimate_period=_REMEMBERED,
         )
         with bar:
             bar.add_task(title, total=total)

@@ -2,12 +2,14 @@
 
 import itertools
 import time
+from importlib.machinery import ModuleSpec
 
 import pytest
 from distributed import Client, Future
 
 from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError
+from vislam.study import cluster
 from vislam.study.cluster import LOST, Cluster, run_trials
 from vislam.study.points import Point, all_trials
 
@@ -63,6 +65,18 @@ def test_trials_are_drawn_only_as_others_finish(client):
     running.close()
 
 
+def test_workers_that_come_later_get_trials_too(client, monkeypatch):
+    workers, held = {"a": 1}, []
+    monkeypatch.setattr(client, "nthreads", lambda: workers)
+    for place, _ in enumerate(run_trials(client, trials(60), work=work)):
+        held.append(len(client.futures))
+        if place == 9:
+            workers["b"] = 1
+    # Four for each, and the one that has just come back.
+    assert max(held[:10]) <= 5
+    assert max(held[11:]) in (8, 9)
+
+
 def test_a_trial_that_its_worker_cannot_return_is_lost_and_says_why(client):
     def broken(tree, seed):
         raise MemoryError("out of memory")
@@ -91,6 +105,14 @@ def test_a_lost_scheduler_is_told_in_one_line(client):
     client.cancel([Future(key, client) for key in list(client.futures)])
     with pytest.raises(DataError, match="connection to the Dask scheduler is lost"):
         list(running)
+
+
+def test_the_dashboard_is_named_where_the_scheduler_has_bokeh(client, monkeypatch):
+    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
+    assert cluster.watch_at(client) == f"scheduler: {client.scheduler.address}"
+    monkeypatch.setattr(cluster, "find_spec", lambda name: ModuleSpec(name, None))
+    monkeypatch.setattr(Client, "dashboard_link", "http://127.0.0.1:8787/status")
+    assert cluster.watch_at(client) == "dashboard: http://127.0.0.1:8787/status"
 
 
 def test_there_must_be_a_scheduler_file(tmp_path):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import resource
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from vislam import config as configuration
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
+from vislam.study.plan import Plan
 from vislam.study.trial import nothing, run_trial
+from vislam.terminal import Terminal
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SMALL = """
@@ -54,7 +57,7 @@ def ran(monkeypatch):
 
     monkeypatch.setattr("vislam.study.cluster.Cluster.connect", lambda self: Here())
     monkeypatch.setattr(conduct, "run_trials", run_here)
-    monkeypatch.setattr(conduct, "_address", lambda client: "here")
+    monkeypatch.setattr(conduct, "watch_at", lambda client: "here")
     return seen
 
 
@@ -111,6 +114,24 @@ def test_more_seeds_go_on_where_the_study_was(ran):
     assert study("--set", "study.seeds=3") == 0
     assert [seed for _, seed in ran] == [7, 7]
     assert len(table()) == 6
+
+
+def test_the_longest_drives_run_first_and_the_table_keeps_its_order(ran):
+    assert study("--set", "study.grid={data.simulation.frames: [15, 25, 20]}") == 0
+    assert [(point["data.simulation.frames"], seed) for point, seed in ran] == [
+        *((25, 5), (25, 6), (20, 5), (20, 6), (15, 5), (15, 6))
+    ]
+    assert [row["data.simulation.frames"] for row in table()] == ["15", "15", "25", "25", "20", "20"]
+
+
+def test_the_time_left_is_known_of_trials_that_take_minutes():
+    now = [0.0]
+    with Terminal().progress("trials", 10) as bar:
+        bar.get_time = lambda: now[0]
+        for finished in range(4):
+            now[0] = 150.0 * finished
+            bar.update(0, completed=finished)
+        assert bar.tasks[0].time_remaining == pytest.approx(7 * 150.0, rel=0.01)
 
 
 def test_only_the_metrics_that_are_asked_for_are_columns(ran):
@@ -201,11 +222,30 @@ def test_a_full_disk_is_one_line_and_2(ran, monkeypatch, capsys):
     assert list(only("*/trials").iterdir()) == []
 
 
+def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_start(ran, capsys):
+    assert study() == 0
+    only("*/study.html").unlink()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The trials and their table are smaller, the page is not.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (80_000, hard))
+    try:
+        assert study() == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capsys.readouterr().err
+    assert "study.html: cannot be written (File too large)" in said
+    assert len(said.splitlines()) == 1
+    assert sorted(path.name for path in only("small-*").iterdir()) == ["study.json", "trials", "trials.csv"]
+    assert study() == 0
+    assert len(ran) == 4
+    assert only("*/study.html").stat().st_size > 80_000
+
+
 @pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), CONFIGS / "monte_carlo.yaml"])
 def test_the_studies_that_come_along_can_be_planned(path):
     from vislam import config as configuration
 
-    plan = conduct.Plan.of(configuration.load(path))
+    plan = Plan.of(configuration.load(path))
     assert len(plan.points) * plan.study.seeds == len({trial.id for trial in plan.trials()})
     assert len({point.digest for point in plan.points}) == len(plan.points)
 

@@ -13,12 +13,13 @@ from vislam.report.table import Table
 from vislam.study.ablation import CASE, Ablation
 from vislam.study.trials import Trials
 
-_DETAILS = {
+DETAILS = {
     "path_length": "path length [m]",
     "nis_per_dof": "NIS per degree of freedom",
     "nees_pose": "NEES per degree of freedom",
     "total_time_s": "total time [s]",
 }
+"""Metrics that are told beside the error."""
 _MISSING = "failed"
 
 
@@ -33,8 +34,8 @@ def short_table(trials: Trials, ablation: Ablation) -> Table:
 def mending_table(trials: Trials, ablation: Ablation) -> Table:
     """Defects mended one after the other: the error of every estimator, and what else is known of it."""
     key = errors(trials)[0]
-    details = [name for name in _DETAILS if any(_known(trials, run, name) for run in trials.complete)]
-    header = ["mended", "estimator", metric_label(key), *(_DETAILS[name] for name in details)]
+    details = [name for name in DETAILS if any(_known(trials, run, name) for run in trials.complete)]
+    header = ["mended", "estimator", metric_label(key), *(DETAILS[name] for name in details)]
     rows = []
     for label, case in _steps(ablation):
         for run in trials.complete:

@@ -5,12 +5,15 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import dask
 from distributed import Client, LocalCluster, as_completed
 from distributed.client import ClosedClientError
+from distributed.comm import CommClosedError
 
 from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError, first_line
@@ -22,6 +25,8 @@ LOST = "lost"
 _OUTSTANDING = 4
 """Trials that are under way or wait, for each worker."""
 _RETRIES = 2
+_LOCAL = {"distributed.worker.profile.enabled": False}
+"""Dask would look a hundred times a second at what a worker does, for a profile that nobody asks for."""
 _PATIENCE = 30.0
 """How long to wait for a scheduler, and for its first worker [s]."""
 
@@ -72,36 +77,46 @@ def run_trials(
     Raises
     ------
     ConfigError
-        If a worker that joined later has other code.
+        If a worker that joined later has other code. One that has none drops out by itself.
     DataError
         If the scheduler is lost.
     """
     under_way: dict[str, Trial] = {}
+    finished = as_completed()
 
-    def submit(trial: Trial) -> Any:
-        key = f"trial-{trial.id}"
-        under_way[key] = trial
-        return client.submit(work, trial.point.tree, trial.seed, key=key, retries=_RETRIES, pure=False)
+    def top_up() -> None:
+        with _told():
+            # Workers come and go: a cluster's queue lets them in one after the other.
+            window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
+            for trial in islice(trials, max(0, window - len(under_way))):
+                key = f"trial-{trial.id}"
+                under_way[key] = trial
+                tree, seed = trial.point.tree, trial.seed
+                finished.add(client.submit(work, tree, seed, key=key, retries=_RETRIES, pure=False))
 
-    window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
-    finished = as_completed([submit(trial) for trial in islice(trials, window)])
+    top_up()
     for future in finished:
         trial = under_way.pop(future.key)
-        result = _result(future)
+        with _told():
+            result = _result(future)
         future.release()
-        for following in islice(trials, 1):
-            finished.add(submit(following))
+        top_up()
         yield trial, result
+
+
+def watch_at(client: Client) -> str:
+    """Where to watch the workers: the dashboard needs bokeh where the scheduler runs, nothing else does."""
+    if client.run_on_scheduler(find_spec, "bokeh") is None:
+        return f"scheduler: {client.scheduler.address}"
+    return f"dashboard: {client.dashboard_link}"
 
 
 def _result(future: Any) -> dict[str, Any]:
     """Result of a finished trial, or what there is to say of one whose workers died."""
     try:
         result: dict[str, Any] = future.result()
-    except (CancelledError, ClosedClientError):
-        raise DataError(
-            "the connection to the Dask scheduler is lost; finished trials are kept, run the study again"
-        ) from None
+    except (CancelledError, ClosedClientError, CommClosedError):
+        raise
     except Exception as error:
         # The trial itself turns what goes wrong into a result: this is its worker.
         reason = f"{type(error).__name__}: {first_line(error)}"
@@ -112,16 +127,30 @@ def _result(future: Any) -> dict[str, Any]:
 
 
 @contextmanager
+def _told() -> Iterator[None]:
+    """Say in one line that the scheduler is gone."""
+    try:
+        yield
+    except (CancelledError, ClosedClientError, CommClosedError):
+        raise DataError(
+            "the connection to the Dask scheduler is lost; finished trials are kept, run the study again"
+        ) from None
+
+
+@contextmanager
 def _local(workers: int | None) -> Iterator[LocalCluster]:
-    """Processes of this machine, one thread each."""
-    with LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
-        preload="vislam.study.local_worker",
-    ) as cluster:
+    """Processes of this machine, one thread each, whose BLAS Dask keeps to one as well."""
+    with (
+        dask.config.set(_LOCAL),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            preload="vislam.study.local_worker",
+        ) as cluster,
+    ):
         yield cluster
 
 
@@ -141,7 +170,7 @@ def _refuse_other_workers(client: Client, where: str) -> None:
     """Raise ConfigError unless there are workers and all have this code."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
-        found = client.run(code_digest)
+        found = client.run(_ready)
     except TimeoutError:
         raise ConfigError(f"{where}: the scheduler has no worker; start one with dask worker") from None
     except Exception as error:
@@ -152,6 +181,13 @@ def _refuse_other_workers(client: Client, where: str) -> None:
     for worker, code in found.items():
         if code != code_digest():
             raise ConfigError(_other_code(code, f"worker {worker}"))
+
+
+def _ready() -> str:
+    """Import what the first trial would import, and give the code of this process."""
+    import gtsam  # noqa: F401, PLC0415
+
+    return code_digest()
 
 
 def _other_code(code: str, who: str) -> str:

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -43,37 +43,44 @@ class StudyFolder:
 
     def write_text(self, path: Path, text: str) -> None:
         """Write a text, whole or not at all; DataError if it cannot be."""
-        with _told(path), replace_whole(path) as temporary:
+        with told(path), replace_whole(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
-    def write_table(self, trials: Iterable[Trial], *, swept: Sequence[str], metrics: Sequence[str]) -> None:
+    def finished(self, trials: Iterable[Trial]) -> Iterator[tuple[Trial, Result]]:
+        """Those of the trials that are finished, with their results, one after the other."""
+        for trial in trials:
+            if (found := self.find(trial)) is not None:
+                yield trial, found
+
+    def write_table(
+        self, trials: Callable[[], Iterable[Trial]], *, swept: Sequence[str], metrics: Sequence[str]
+    ) -> None:
         """Write ``trials.csv``: a row for each trial that is there, a column for each metric of each run.
 
         Parameters
         ----------
-        trials : iterable of Trial
+        trials : callable
+            Gives the trials anew, once for the header and once for the rows.
         swept : sequence of str
             Dotted paths of what differs between points.
         metrics : sequence of str
             Keys to keep; none: all.
         """
-        trials = list(trials)
         columns: dict[str, None] = {}
-        for trial in trials:
-            columns |= dict.fromkeys(_wide(self.find(trial), metrics))
+        for _, found in self.finished(trials()):
+            columns |= dict.fromkeys(_wide(found, metrics))
         own = ("id", "seed", *swept, "status", "reason", "seconds")
         path = self.path / "trials.csv"
         with (
-            _told(path),
+            told(path),
             replace_whole(path) as temporary,
             temporary.open("w", encoding="utf-8", newline="") as file,
         ):
             writer = csv.writer(file)
             writer.writerow((*own, *columns))
-            for trial in trials:
-                if (found := self.find(trial)) is not None:
-                    wide = _wide(found, metrics)
-                    writer.writerow((*_own(trial, found), *(wide.get(name, "") for name in columns)))
+            for trial, found in self.finished(trials()):
+                wide = _wide(found, metrics)
+                writer.writerow((*_own(trial, found), *(wide.get(name, "") for name in columns)))
 
     def _file(self, trial: Trial) -> Path:
         return self.path / "trials" / f"{trial.id}.json"
@@ -87,10 +94,8 @@ def _own(trial: Trial, result: Result) -> Iterator[Any]:
     yield from (result["status"], result["reason"], result["seconds"])
 
 
-def _wide(result: Result | None, keys: Sequence[str]) -> dict[str, float]:
+def _wide(result: Result, keys: Sequence[str]) -> dict[str, float]:
     """Metrics of a trial by ``<estimator>.<key>``."""
-    if result is None:
-        return {}
     return {
         f"{metric['estimator']}.{metric['key']}": metric["value"]
         for metric in result["metrics"]
@@ -99,7 +104,7 @@ def _wide(result: Result | None, keys: Sequence[str]) -> dict[str, float]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def told(path: Path) -> Iterator[None]:
     """Turn what the file system refuses into one line."""
     try:
         yield

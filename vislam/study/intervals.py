@@ -1,17 +1,19 @@
 """Intervals of what independent trials have in common: a share, a mean, a median."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import norm, t
 
-from vislam.types import Array
+from vislam.types import Array, IntArray
 
 PROBABILITY = 0.95
 """Probability with which an interval is to hold the truth."""
 _RESAMPLES = 4000
+_AT_ONCE = 100_000
+"""Values that are drawn at a time, so that memory does not grow with the number of trials."""
 _SEED = 1927
 
 
@@ -81,8 +83,16 @@ def bootstrap(values: Array, statistic: Callable[..., Any]) -> Estimate | None:
         return None
     low, high = np.nan, np.nan
     if count > 1:
-        drawn = np.random.default_rng(_SEED).integers(0, count, (_RESAMPLES, count))
+        drawn = np.concatenate([statistic(known[rows], axis=1) for rows in _resampled(count)])
         quantile = t.isf(0.5 * (1.0 - PROBABILITY), count - 1)
         tail = norm.sf(np.sqrt(count / (count - 1.0)) * quantile)
-        low, high = np.quantile(statistic(known[drawn], axis=1), [tail, 1.0 - tail])
+        low, high = np.quantile(drawn, [tail, 1.0 - tail])
     return Estimate(float(statistic(known)), float(low), float(high), count, len(values) - count)
+
+
+def _resampled(count: int) -> Iterator[IntArray]:
+    """Rows ``(m, count)`` of the resamples, a block of them at a time."""
+    rng = np.random.default_rng(_SEED)
+    block = max(1, _AT_ONCE // count)
+    for first in range(0, _RESAMPLES, block):
+        yield rng.integers(0, count, (min(block, _RESAMPLES - first), count))

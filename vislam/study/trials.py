@@ -1,7 +1,8 @@
 """The finished trials of a study as one table, a row each."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,8 @@ class Trials:
         Why the trial or its runs failed ``(n,)``; empty if none did.
     values : mapping of (estimator, metric key) to (n,)
         NaN where missing.
+    keys : collection of str or None
+        Metrics that were kept; None: all.
     """
 
     seed: IntArray
@@ -35,39 +38,44 @@ class Trials:
     complete: Mapping[str, BoolArray]
     reason: tuple[str, ...]
     values: Mapping[tuple[str, str], Array]
+    keys: Collection[str] | None = None
 
     def __len__(self) -> int:
         return len(self.seed)
 
     @classmethod
-    def of_records(cls, records: Sequence[Mapping[str, Any]]) -> "Trials":
+    def of_records(
+        cls, records: Iterable[Mapping[str, Any]], *, keys: Collection[str] | None = None
+    ) -> "Trials":
         """Read plain data of trials: seed, point, status, reason, and what became of the runs.
 
-        A trial that failed may lack ``runs`` and ``metrics``. ValueError if trials differ in what is swept.
+        A record is let go once its row is read, so that many trials take little memory.
+
+        Parameters
+        ----------
+        records : iterable of mapping
+            One that failed may lack ``runs`` and ``metrics``.
+        keys : collection of str, optional
+            Metrics to keep; None: all.
+
+        Raises
+        ------
+        ValueError
+            If trials differ in what is swept.
         """
-        paths = list(records[0]["point"]) if records else []
+        reader = _Reader(keys)
         for record in records:
-            if set(record["point"]) != set(paths):
-                raise ValueError(
-                    f"expected every trial to name the parameters {paths}, got {list(record['point'])}"
-                )
-        names = dict.fromkeys(name for record in records for name in record.get("runs", {}))
-        return cls(
-            seed=np.array([record["seed"] for record in records], dtype=np.int64),
-            point={path: tuple(_hashable(record["point"][path]) for record in records) for path in paths},
-            done=np.array([record["status"] == "done" for record in records], dtype=bool),
-            complete={
-                name: np.array([_finished(one, name) for one in records], dtype=bool) for name in names
-            },
-            reason=tuple(_reason(record) for record in records),
-            values=_values(records),
-        )
+            reader.read(record)
+        return reader.trials()
 
     def value(self, name: str, key: str) -> Array:
         """Metric of an estimator in each trial ``(n,)``, NaN where missing or where its run did not finish.
 
-        A run that broke off may look better than one that saw the hard part.
+        A run that broke off may look better than one that saw the hard part. KeyError if the metric is not
+        among those that were kept.
         """
+        if self.keys is not None and key not in self.keys:
+            raise KeyError(f"{key}: expected one of the metrics that were kept, {sorted(self.keys)}")
         found = self.values.get((name, key), np.full(len(self), np.nan))
         return np.where(self.complete[name], found, np.nan)
 
@@ -90,6 +98,66 @@ class Trials:
         return [(point, rows) for point in points if len(rows := self.at(point))]
 
 
+class _Reader:
+    """Takes trials one by one into columns of numbers."""
+
+    def __init__(self, keys: Collection[str] | None) -> None:
+        self._keys = keys
+        self._point: dict[str, list[Any]] | None = None
+        self._seed, self._done = array("q"), array("b")
+        self._reason: list[str] = []
+        self._complete: dict[str, array[int]] = {}
+        self._values: dict[tuple[str, str], array[float]] = {}
+
+    def read(self, record: Mapping[str, Any]) -> None:
+        """Add a row."""
+        row, point = len(self._seed), record["point"]
+        if self._point is None:
+            self._point = {path: [] for path in point}
+        if set(point) != set(self._point):
+            raise ValueError(
+                f"expected every trial to name the parameters {list(self._point)}, got {list(point)}"
+            )
+        for path, column in self._point.items():
+            column.append(_hashable(point[path]))
+        self._seed.append(record["seed"])
+        self._done.append(record["status"] == "done")
+        self._reason.append(_reason(record))
+        for name, run in record.get("runs", {}).items():
+            _put(self._complete.setdefault(name, array("b")), row, run["complete"], missing=False)
+        for metric in record.get("metrics", ()):
+            if metric["value"] is not None and (self._keys is None or metric["key"] in self._keys):
+                cell = (metric["estimator"], metric["key"])
+                _put(self._values.setdefault(cell, array("d")), row, metric["value"], missing=np.nan)
+
+    def trials(self) -> Trials:
+        """Table of what has been read."""
+        rows = len(self._seed)
+        for flags in self._complete.values():
+            _fill(flags, rows, missing=False)
+        for values in self._values.values():
+            _fill(values, rows, missing=np.nan)
+        return Trials(
+            seed=np.array(self._seed, dtype=np.int64),
+            point={path: tuple(column) for path, column in (self._point or {}).items()},
+            done=np.array(self._done, dtype=bool),
+            complete={name: np.array(flags, dtype=bool) for name, flags in self._complete.items()},
+            reason=tuple(self._reason),
+            values={cell: np.array(values) for cell, values in self._values.items()},
+            keys=self._keys,
+        )
+
+
+def _put(column: "array[Any]", row: int, value: float, *, missing: float) -> None:
+    """Set a row of a column that may be shorter than that."""
+    _fill(column, row, missing=missing)
+    column.append(value)
+
+
+def _fill(column: "array[Any]", rows: int, *, missing: float) -> None:
+    column.extend([missing] * (rows - len(column)))
+
+
 def is_number(value: object) -> bool:
     """Whether a value of a parameter has a place on an axis."""
     return isinstance(value, int | float) and not isinstance(value, bool)
@@ -99,22 +167,8 @@ def _hashable(value: Any) -> Any:
     return tuple(_hashable(item) for item in value) if isinstance(value, list | tuple) else value
 
 
-def _finished(record: Mapping[str, Any], name: str) -> bool:
-    return bool(record.get("runs", {}).get(name, {}).get("complete", False))
-
-
 def _reason(record: Mapping[str, Any]) -> str:
     if record["status"] != "done":
         return record["reason"] or "no reason given"
     told = {name: run.get("error") for name, run in record["runs"].items() if not run["complete"]}
     return "; ".join(f"{name}: {error or 'incomplete'}" for name, error in told.items())
-
-
-def _values(records: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], Array]:
-    values: dict[tuple[str, str], Array] = {}
-    for row, record in enumerate(records):
-        for metric in record.get("metrics", ()):
-            cell = (metric["estimator"], metric["key"])
-            column = values.setdefault(cell, np.full(len(records), np.nan))
-            column[row] = np.nan if metric["value"] is None else metric["value"]
-    return values

@@ -1,0 +1,109 @@
+"""What a study consists of: its points, its trials, and the data that they are of."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+
+from vislam.comparison import build_estimators, code_digest
+from vislam.config import Config, parse
+from vislam.data.source import open_dataset
+from vislam.errors import ConfigError
+from vislam.study.ablation import Ablation
+from vislam.study.points import Point, Trial, all_points, all_trials
+from vislam.study.settings import StudyConfig
+
+_ID_DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a study consists of.
+
+    Attributes
+    ----------
+    config : Config
+    study : StudyConfig
+    points : sequence of Point
+    data : str
+        Hash of the recording; empty for drives that each trial simulates with its seed.
+    about : str
+        What the trials are of.
+    """
+
+    config: Config
+    study: StudyConfig
+    points: Sequence[Point]
+    data: str
+    about: str
+
+    @classmethod
+    def of(cls, config: Config) -> "Plan":
+        """Plan the study of a config; ConfigError if there is none, or what it sweeps cannot be."""
+        if config.study is None:
+            raise ConfigError("study: the config has no such section; see configs/monte_carlo.yaml for one")
+        study = config.study
+        config, data, about = _settle_data(config, seeds=study.seeds)
+        return cls(config, study, all_points(config, study), data, about)
+
+    def trials(self) -> Iterator[Trial]:
+        """Every seed at every point."""
+        first = self.config.seed
+        seeds = range(first, first + self.study.seeds)
+        return all_trials(self.points, seeds=seeds, code=code_digest(), data=self.data)
+
+    def longest_first(self) -> "Plan":
+        """The same study with its longest drives first: in the end no worker waits long for another's."""
+        points = sorted(self.points, key=_frames, reverse=True)
+        return replace(self, points=points)
+
+    @property
+    def ablation(self) -> Ablation | None:
+        """Whose cases the points are; None if they are something else."""
+        return Ablation(tuple(self.study.defects)) if self.study.defects else None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no recorded data is used."""
+        return self.config.data.file is None and self.config.data.packaged is None
+
+    @property
+    def id(self) -> str:
+        """Hash of config, recording and code; with more seeds a study goes on, so they do not count."""
+        lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
+        text = json.dumps(asdict(lasting)) + code_digest() + self.data
+        return f"{self.config.name}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
+
+    def refuse_bad_options(self) -> None:
+        """Raise ConfigError or DataError for what would make every trial of a point fail."""
+        dataset = open_dataset(parse(Config, self.points[0].tree).data, seed=self.config.seed)
+        for point in self.points:
+            build_estimators(parse(Config, point.tree), dataset)
+
+
+def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:
+    """Config whose data every trial finds, the hash of its recording if it has one, and what it is."""
+    file, packaged = config.data.file, config.data.packaged
+    if packaged is not None:
+        told = f"MADE ODOMETRY: real stereo tracks of {packaged.name}, odometry of each trial's seed"
+        return config, "", told
+    if file is None:
+        return config, "", "SIMULATED: every trial is a simulated drive"
+    dataset = open_dataset(config.data, seed=config.seed)
+    if dataset.sequence.stand_in:
+        # Each worker would decide for itself what it stands in for.
+        made = replace(config.data, file=None, inertial=None, reference=None)
+        return replace(config, data=made), "", dataset.notes[0]
+    if seeds > 1:
+        raise ConfigError(
+            f"study.seeds: {file} is the same with every seed; set it to 1, or data.file to null, got {seeds}"
+        )
+    reference = dataset.reference
+    known = "no reference" if reference is None else f"reference {reference.name}: {reference.limits}"
+    return config, dataset.sequence.digest, f"RECORDED: every trial is of {file}; {known}"
+
+
+def _frames(point: Point) -> int:
+    """Length of a point's drive; 0 for packaged data, of which all points have the same."""
+    simulation = point.tree["data"]["simulation"]
+    return 0 if simulation is None else int(simulation["frames"])
