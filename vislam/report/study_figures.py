@@ -80,7 +80,7 @@ def nees(trials: Trials) -> Figure | None:
         if found is None:
             continue
         spread = 0.25 * _ROOM / len(trials.complete) * np.linspace(-1.0, 1.0, len(known))
-        axes.plot(place + spread, known, ".", ms=3, color=colour, alpha=0.5)
+        axes.plot(place + spread, known, ".", ms=3, color=colour, alpha=0.5, rasterized=True)
         _marked(axes, place, found.mean, colour=colour, name=name)
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(ylabel="NEES per degree of freedom", yscale="log")
