@@ -123,7 +123,8 @@ class ReportEkf:
         fused = used & known
         return StepRecord(
             world_T_imu=self.world_T_imu,
-            pose_cov=self.cov[POSE, POSE].copy(),
+            # As printed the covariance loses its symmetry; what it claims is the symmetric part.
+            pose_cov=0.5 * (self.cov[POSE, POSE] + self.cov[POSE, POSE].T),
             bias=self.bias.copy(),
             bias_sigma=np.sqrt(np.maximum(np.diagonal(self.cov)[BIAS], 0.0)),
             nis=nis,

@@ -8,6 +8,7 @@ import pytest
 from tests.evaluation.test_evaluation import circle, made_run
 from vislam.evaluation.agreement import agreement, compared, transported
 from vislam.evaluation.consistency import COMPONENTS
+from vislam.evaluation.normalised import usable
 from vislam.geometry import se3
 
 FRAMES = 400
@@ -199,3 +200,9 @@ def test_a_ratio_is_never_below_zero():
     ratios, _ = compared(np.diag([1.0, -1e-18, 4.0])[None], np.eye(3)[None])
     assert (ratios > 0.0).all()
     assert ratios[0, 1:] == pytest.approx([1.0, 4.0])
+
+
+def test_what_is_not_symmetric_is_no_covariance(rng):
+    cov = covariances(rng, count=3)
+    cov[1, 0, 4] += 0.1 * np.sqrt(cov[1, 0, 0] * cov[1, 4, 4])
+    assert usable(cov).tolist() == [True, False, True]

@@ -28,6 +28,8 @@ _FLOOR = 1e-9
 """A claimed standard deviation below this [rad, m, rad/s, m/s] is no claim, but a zero with rounding."""
 _SINGULAR = 1e-12
 """Smallest eigenvalue of a correlation matrix that is more than rounding."""
+_ASYMMETRY = 1e-6
+"""Largest difference of two correlations that should be the same; with more it is no covariance."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ def nis_whiteness(run: Run) -> Whiteness | None:
 
 
 def usable(cov: Array) -> BoolArray:
-    """Which covariances ``(n, d, d)`` are given and are more than zero and rounding."""
+    """Which covariances ``(n, d, d)`` are given, symmetric, and more than zero and rounding."""
     size = cov.shape[-1]
     diagonal = np.diagonal(cov, axis1=-2, axis2=-1)
     given = np.isfinite(cov).all(axis=(1, 2)) & (diagonal > _FLOOR**2).all(axis=1)
@@ -221,7 +223,8 @@ def usable(cov: Array) -> BoolArray:
     safe = np.where(known[:, None, None], cov, np.eye(size))
     sigma = _sigma(safe)
     correlation = safe / (sigma[:, :, None] * sigma[:, None, :])
-    return np.asarray(known & (np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR), np.bool_)
+    symmetric = np.abs(correlation - correlation.transpose(0, 2, 1)).max(axis=(1, 2)) < _ASYMMETRY
+    return np.asarray(known & symmetric & (np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR), np.bool_)
 
 
 def whiten(error: Array, cov: Array) -> Array:
