@@ -94,6 +94,7 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
     right.axvline(0.0, color="k", lw=0.6)
     right.set_xscale("symlog", linthresh=1.0)
     right.set_xlabel(f"added {metric_label(key)}")
+    right.margins(x=0.1)
     right.tick_params(axis="x", labelsize=7)
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=8)
     return {"ablation": Drawing(title, caption, figure)}
