@@ -13,7 +13,7 @@ from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus, step_residuals
 from vislam.repair.mounting import Axes, Baseline, Extrinsic, axes_rotation
 from vislam.repair.pixels import Disparity, DisparityOffset
-from vislam.repair.tracks import Interruptions, StaleTracks, stale_observations
+from vislam.repair.tracks import Interruptions, StaleTracks, Thinning, stale_observations
 from vislam.sensors import StereoRig
 from vislam.simulation import SimulationConfig, simulate
 
@@ -184,3 +184,17 @@ def test_each_step_counts_what_it_did():
     assert done["disparity"].counts["dropped_row_difference"] > 50
     assert not done["axes"].applied
     assert done["axes"].counts == {}
+
+
+def test_thinning_keeps_whole_tracks_one_in_so_many_after_the_other_steps():
+    sequence, _ = simulate(SimulationConfig(frames=60, stale_probability=0.2), seed=2, name="s")
+    whole = apply(sequence, RepairConfig())
+    thin = apply(sequence, RepairConfig(thinning=Thinning(every=5)))
+    kept = whole.track % 5 == 0
+    assert np.array_equal(thin.track, whole.track[kept])
+    assert np.array_equal(thin.pixels, whole.pixels[kept])
+    done = {step.name: step for step in thin.repairs}
+    assert done["thinning"].counts == {"dropped_thinning": thin.counts["dropped_thinning"]}
+    assert thin.counts["dropped_thinning"] > 3 * thin.observations
+    same = apply(sequence, RepairConfig(thinning=Thinning(every=1)))
+    assert np.array_equal(same.track, whole.track)

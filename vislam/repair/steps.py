@@ -12,7 +12,7 @@ from vislam.repair.consensus import Consensus
 from vislam.repair.inertial import Clock, LevelledVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
-from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
+from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks, Thinning
 
 Kind = TypeVar("Kind")
 
@@ -62,6 +62,8 @@ class RepairConfig:
     """Start a new landmark where a track was out of sight."""
     consensus: Switched[Consensus] = Consensus()
     """Start a new landmark where a track leaves the rigid motion of the rest."""
+    thinning: Switched[Thinning] = None
+    """Keep one track in so many; the steps before have seen them all."""
     single_sightings: Switched[SingleSightings] = SingleSightings()
     """Drop tracks seen once only."""
 

@@ -1,8 +1,10 @@
 """Repairs of tracks: a new landmark wherever a track goes over to another point, nothing thrown away."""
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from vislam.data.sequence import Sequence
@@ -46,6 +48,19 @@ class Interruptions:
         starts = np.zeros(len(track), bool)
         starts[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)
         return start_new_tracks(sequence, starts, interruptions=int(starts.sum()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Thinning:
+    """Keep one track in so many, as is done to save time."""
+
+    every: Annotated[int, Field(ge=1)]
+    """Tracks whose id it divides are kept; 1: all."""
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Drop the others."""
+        keep = sequence.track % self.every == 0
+        return sequence.select(keep, dropped_thinning=int(np.sum(~keep)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
