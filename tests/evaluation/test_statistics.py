@@ -183,3 +183,7 @@ def test_a_white_sequence_is_white_and_a_smoothed_one_is_not(rng):
 def test_few_samples_have_no_whiteness(rng):
     nis, freedom = squares(rng, 0)
     assert whiteness(nis[: 2 * LAGS], freedom[: 2 * LAGS]) is None
+
+
+def test_a_single_error_is_one_sample():
+    assert effective_errors(np.ones((1, 6))) == 1.0

@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
-from tests.smoother.drives import BUILD, RIG, drive, gap, member, smoother
+from tests.smoother.drives import BUILD, RIG, ate, drive, gap, member, smoother
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ClimbConfig, Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.ekf import family as ekf_family
 from vislam.errors import ConfigError
 from vislam.estimator import run
 from vislam.geometry import se3
 from vislam.smoother import engine
 from vislam.smoother.keys import X
-from vislam.smoother.starting import starts
+from vislam.smoother.starting import Start, starts
 
 
 @pytest.fixture(scope="module")
@@ -213,3 +214,31 @@ def test_the_climb_rate_holds_the_height():
         assert run.complete
         off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
         assert off < limit
+
+
+def test_where_most_residuals_are_too_large_it_is_not_the_tracks_that_are_wrong():
+    """A predicted pose that is off spoils all residuals alike; one track still stands out from them."""
+    clear = np.ones(9, bool)
+    worst = np.array([6.0, 7.0, 5.0, 6.5, 5.5, 7.5, 60.0, 6.0, 5.8])
+    start = Start(np.zeros((9, 3)), np.ones(9), clear, worst)
+    assert start.ready.tolist() == [True] * 6 + [False, True, True]
+    few = Start(np.zeros((5, 3)), np.ones(5), clear[:5], worst[:5])
+    assert not few.ready.any()
+    sound = Start(np.zeros((9, 3)), np.ones(9), clear, np.where(worst > 50.0, worst, 0.3 * worst))
+    assert sound.ready.tolist() == start.ready.tolist()
+    assert not Start(np.zeros((9, 3)), np.ones(9), ~clear, worst).ready.any()
+
+
+@pytest.mark.parametrize("told", [0.1, 0.25])
+def test_pixels_noisier_than_told_do_not_starve_the_smoother(told: float):
+    """Gyro and bias are uncertain by pixels: no track would ever start if its residual alone decided."""
+    config, dataset = drive(seed=6, pixel=0.5, gyro=0.02, gyro_bias=(0.02, -0.015, 0.02))
+    config = replace(config, noise=replace(config.noise, pixel_sigma_px=told))
+    found = {}
+    for name, build in (("isam2", BUILD["isam2"]), ("eks", ekf_family.build_smoother)):
+        options = {} if name == "isam2" else {"gate": False}
+        estimator = build(make_problem(config, dataset), options)
+        found[name] = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
+    assert found["isam2"].complete
+    assert found["isam2"].used.sum() > 0.8 * found["eks"].used.sum()
+    assert ate(found["isam2"].world_T_imu, dataset) < 2.0 * ate(found["eks"].world_T_imu, dataset) + 0.01

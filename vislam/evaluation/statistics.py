@@ -186,6 +186,8 @@ def _effective(correlation: Array) -> float:
     the correlation being estimated; calibrated by simulation up to errors that never decorrelate.
     """
     count = len(correlation)
+    if count < 2:
+        return 1.0
     pairs = correlation[: count - count % 2].reshape(-1, 2, correlation.shape[1]).sum(axis=1)
     negative = pairs <= 0.0
     stop = 2 * np.where(negative.any(axis=0), negative.argmax(axis=0), len(pairs))

@@ -14,6 +14,8 @@ from vislam.types import Array, BoolArray
 
 _WORST_RESIDUAL = 4.0
 """A track with a residual beyond this many standard deviations is not one static point."""
+_FEWEST = 6
+"""So many tracks can say together that it is not they that are wrong."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +27,30 @@ class Start:
     points_world : (n, 3)
     depth : (n,)
         Depth in its first view [m].
-    ready : (n,)
-        Whether it may start.
+    clear : (n,)
+        Whether its disparity stands clear.
+    worst : (n,)
+        Largest residual of its views, in standard deviations.
     """
 
     points_world: Array
     depth: Array
-    ready: BoolArray
+    clear: BoolArray
+    worst: Array
+
+    @property
+    def ready(self) -> BoolArray:
+        """Which of the tracks ``(n,)`` may start.
+
+        Residuals are taken at poses of which the newest is a prediction, and in units of what the noise is
+        said to be. Where most tracks are beyond the limit, pose or noise is wrong and not the tracks, and
+        without them neither would ever be put right: what stands out from the others is left out then.
+        """
+        limit = _WORST_RESIDUAL
+        if np.count_nonzero(self.clear) >= _FEWEST:
+            middle = float(np.median(self.worst[self.clear]))
+            limit = limit if middle < limit else 2.0 * middle
+        return np.asarray(self.clear & (self.worst < limit))
 
 
 def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float) -> Start:
@@ -51,8 +70,8 @@ def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear:
     """
     world_T_cam = world_T_imu @ rig.imu_T_cam
     found = triangulate(rig, world_T_cam, z, sigma)
-    ready = found.solved & (found.disparity > clear * found.disparity_sigma)
-    ready &= np.all(np.abs(found.residual) / sigma < _WORST_RESIDUAL, axis=(1, 2))
-    points_cam = rig.back_project(np.where(ready[:, None], found.mean, [1.0, 0.0, 0.0]))
+    stands_clear = found.solved & (found.disparity > clear * found.disparity_sigma)
+    worst = np.max(np.abs(found.residual) / sigma, axis=(1, 2))
+    points_cam = rig.back_project(np.where(stands_clear[:, None], found.mean, [1.0, 0.0, 0.0]))
     points_world = se3.transform(world_T_cam[:, 0], points_cam[:, None])[:, 0]
-    return Start(points_world, points_cam[:, 2], ready)
+    return Start(points_world, points_cam[:, 2], stands_clear, worst)

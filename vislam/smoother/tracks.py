@@ -178,5 +178,6 @@ def locate(rig: StereoRig, tracks: Sequence[Track], poses: Sequence[Array], *, c
     return Start(
         np.concatenate([part.points_world for part in parts])[back],
         np.concatenate([part.depth for part in parts])[back],
-        np.concatenate([part.ready for part in parts])[back],
+        np.concatenate([part.clear for part in parts])[back],
+        np.concatenate([part.worst for part in parts])[back],
     )
