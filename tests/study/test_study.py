@@ -285,3 +285,35 @@ def ran_tree(config):
 
 def error_of(result):
     return next(m["value"] for m in result["metrics"] if m["estimator"] == "ekf" and m["key"] == "ate_rmse")
+
+
+def test_a_study_of_a_missing_recording_is_of_its_stand_in_and_says_so(ran, capsys):
+    assert study("--set", "data.file=nowhere.npz") == 0
+    assert len(ran) == 4
+    assert "[SIMULATED]" in capsys.readouterr().out
+    assert "SIMULATED: stand-in for nowhere.npz" in only("*/study.html").read_text(encoding="utf-8")
+    assert json.loads(only("*/study.json").read_text(encoding="utf-8"))["config"]["data"]["file"] is None
+
+
+def test_an_ablation_can_be_of_a_recording(ran, monkeypatch, capsys):
+    monkeypatch.setenv("VISLAM_DATA", str(recorded("03.npz").parent))
+    Path("small.yaml").write_text(
+        "name: recorded\n"
+        "data:\n"
+        "  file: 03.npz\n"
+        "  reference: {file: 03_positions_xy.txt, format: planar_xy, name: poses, limits: planar}\n"
+        "held_out: {share: 0.0}\n"
+        "estimators: {dead_reckoning: {}}\n"
+        "gates_from: null\n"
+        "study: {seeds: 1, defects: {first: {estimators.dead_reckoning.integration: first}}}\n"
+    )
+    assert study() == 0
+    assert "[SIMULATED]" not in capsys.readouterr().out
+    assert [row["case"] for row in table()] == ["all defects", "no defect"]
+    errors = [float(row["dead_reckoning.ate_planar_rmse"]) for row in table()]
+    assert errors[0] != errors[1]
+    assert "RECORDED: every trial is of 03.npz; reference poses: planar" in only("*/study.html").read_text()
+    document = json.loads(only("*/study.json").read_text(encoding="utf-8"))
+    plan = Plan.of(configuration.load(Path("small.yaml")))
+    assert plan.data
+    assert document["counts"]["done"] == 2
