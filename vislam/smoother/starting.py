@@ -40,17 +40,20 @@ class Start:
 
     @property
     def ready(self) -> BoolArray:
-        """Which of the tracks ``(n,)`` may start.
+        """Which of the tracks ``(n,)`` may start."""
+        return np.asarray(self.clear & (self.worst < _WORST_RESIDUAL))
+
+    @property
+    def ready_alone(self) -> BoolArray:
+        """Which of the tracks ``(n,)`` may start where no landmark is left that they could agree with.
 
         Residuals are taken at poses of which the newest is a prediction, and in units of what the noise is
-        said to be. Where most tracks are beyond the limit, pose or noise is wrong and not the tracks, and
-        without them neither would ever be put right: what stands out from the others is left out then.
+        said to be. If none is within the limit, pose or noise is wrong and not the tracks, and without them
+        neither would ever be put right: what stands out from the others is left out then.
         """
-        limit = _WORST_RESIDUAL
-        if np.count_nonzero(self.clear) >= _FEWEST:
-            middle = float(np.median(self.worst[self.clear]))
-            limit = limit if middle < limit else 2.0 * middle
-        return np.asarray(self.clear & (self.worst < limit))
+        if self.ready.any() or np.count_nonzero(self.clear) < _FEWEST:
+            return self.ready
+        return np.asarray(self.clear & (self.worst < 2.0 * np.median(self.worst[self.clear])))
 
 
 def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float) -> Start:

@@ -13,6 +13,8 @@ from vislam.types import Array, BoolArray
 
 _CHUNK = 512
 """Tracks that are triangulated together."""
+_PATIENCE = 5
+"""Frames on end without any landmark after which tracks start although their residuals are too large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,7 @@ class Tracks:
         self.ended: list[Track] = []
         self.too_weak = self.set_aside = self.views_dropped = 0
         self._aside: set[int] = set()
-        self._started = 0
+        self._started = self._frames_without = 0
 
     @property
     def landmarks(self) -> list[Track]:
@@ -130,7 +132,9 @@ class Tracks:
             return []
         found = locate(rig, candidates, poses, clear=clear)
         started = []
-        for index in np.flatnonzero(found.ready).tolist():
+        self._frames_without = 0 if self.in_view or found.ready.any() else self._frames_without + 1
+        ready = found.ready_alone if self._frames_without > _PATIENCE else found.ready
+        for index in np.flatnonzero(ready).tolist():
             track = self.waiting.pop(candidates[index].id)
             track.key = landmark(self._started, float(found.depth[index]))
             self._started += 1
