@@ -230,7 +230,7 @@ def test_where_all_residuals_are_too_large_it_is_not_the_tracks_that_are_wrong()
 
 
 def test_a_bias_of_many_pixels_does_not_starve_the_smoother():
-    """A bias within its prior puts the predicted pose ten pixel sigmas off: residuals alone let nothing start."""
+    """A bias within its prior puts the predicted pose many pixels off: by residuals alone nothing starts."""
     config, dataset = drive(seed=6, pixel=0.15, gyro=0.01, gyro_bias=(0.06, -0.05, 0.06))
     config = replace(config, noise=replace(config.noise, bias_sigma=(0.06, 0.06, 0.06, 0.1, 0.05, 0.02)))
     estimator = BUILD["isam2"](make_problem(config, dataset), {})
