@@ -13,6 +13,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
+from baselines.landmarks import Landmarks, initialise
 from baselines.sightings import NEAREST, pixel_variances
 from baselines.twist import Integration, step_twist
 from vislam import config, motion
@@ -99,7 +100,7 @@ class ReportEkf:
         self.points_world = np.empty((0, 3))
         self.cov = np.diag(prior)
         self._poses: list[Array] = []
-        self._left: list[tuple[IntArray, Array, Array]] = []
+        self._left: list[Landmarks] = []
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame."""
@@ -137,11 +138,11 @@ class ReportEkf:
     def finalize(self) -> Estimate:
         """Return the causal poses, and the landmarks as they were last known."""
         self._drop(np.ones(len(self.track), bool))
-        track, points, cov = (np.concatenate(part) for part in zip(*self._left, strict=True))
+        every = Landmarks.join(self._left)
         # A track that was out of sight for a while has two; the later one knows more.
-        _, last = np.unique(track[::-1], return_index=True)
-        rows = len(track) - 1 - last
-        return Estimate(np.array(self._poses), None, track[rows], points[rows], cov[rows], {})
+        _, last = np.unique(every.track[::-1], return_index=True)
+        found = every.select(len(every.track) - 1 - last)
+        return Estimate(np.array(self._poses), None, found.track, found.points_world, found.cov, {})
 
     def _predict(self, frame: Frame) -> None:
         """Eq. (25), with the bias added."""
@@ -222,41 +223,37 @@ class ReportEkf:
 
     def _append_independent(self, frame: Frame, rows: IntArray) -> None:
         """Place new landmarks at their first sighting (eq. 20)."""
-        points = self._placed(frame.z[rows])
         prior = self._options.landmark_variance * np.eye(3 * len(rows))
-        self._grow(frame.track[rows], points, np.zeros((len(points) * 3, len(self.cov))), prior)
+        self._grow(self._first(frame, rows), np.zeros((3 * len(rows), len(self.cov))), prior)
 
     def _append_correlated(self, frame: Frame, rows: IntArray) -> None:
         """Place new landmarks at their first sighting, with the covariance of pose and sighting."""
-        rig, z = self._problem.rig, frame.z[rows]
-        in_imu = se3.transform(rig.imu_T_cam, rig.back_project(z))
+        new, rig = self._first(frame, rows), self._problem.rig
+        in_imu = se3.transform(rig.imu_T_cam, rig.back_project(frame.z[rows]))
         rotation = self.world_T_imu[:3, :3]
         grow = np.zeros((3 * len(rows), len(self.cov)))
         grow[:, POSE] = (rotation @ circled_dot(in_imu)).reshape(3 * len(rows), 6)
-        by_sighting = rotation @ rig.imu_T_cam[:3, :3] @ rig.back_projection_jacobian(z)
-        own = (
-            by_sighting * pixel_variances(frame, self._options.pixel_variance)[rows, None, :]
-        ) @ by_sighting.transpose(0, 2, 1)
         noise = np.zeros((len(rows), 3, len(rows), 3))
-        noise[np.arange(len(rows)), :, np.arange(len(rows))] = own
-        self._grow(frame.track[rows], self._placed(z), grow, noise.reshape(3 * len(rows), 3 * len(rows)))
+        noise[np.arange(len(rows)), :, np.arange(len(rows))] = new.cov
+        self._grow(new, grow, noise.reshape(3 * len(rows), 3 * len(rows)))
 
-    def _placed(self, z: Array) -> Array:
-        rig = self._problem.rig
-        return np.asarray(se3.transform(self.world_T_imu @ rig.imu_T_cam, rig.back_project(z)))
+    def _first(self, frame: Frame, rows: IntArray) -> Landmarks:
+        """Landmarks as a sighting alone places them."""
+        variance = pixel_variances(frame, self._options.pixel_variance)[rows]
+        return initialise(self._problem.rig, self.world_T_imu, frame.track[rows], frame.z[rows], variance)
 
-    def _grow(self, track: IntArray, points: Array, grow: Array, noise: Array) -> None:
+    def _grow(self, new: Landmarks, grow: Array, noise: Array) -> None:
         """Append landmarks whose error is ``grow`` times that of the state, plus noise."""
         cross = grow @ self.cov
         self.cov = np.block([[self.cov, cross.T], [cross, cross @ grow.T + noise]])
-        self.track = np.concatenate([self.track, track])
-        self.points_world = np.concatenate([self.points_world, points])
+        self.track = np.concatenate([self.track, new.track])
+        self.points_world = np.concatenate([self.points_world, new.points_world])
 
     def _drop(self, left: BoolArray) -> None:
         """Take landmarks ``(m,)`` out of the state, and remember them."""
         place = (NAV + 3 * np.flatnonzero(left))[:, None] + np.arange(3)
         cov = self.cov[place[:, :, None], place[:, None, :]]
-        self._left.append((self.track[left], self.points_world[left], cov))
+        self._left.append(Landmarks(self.track[left], self.points_world[left], cov))
         rows = np.concatenate([np.ones(NAV, bool), np.repeat(~left, 3)])
         self.cov = self.cov[np.ix_(rows, rows)]
         self.track, self.points_world = self.track[~left], self.points_world[~left]

@@ -102,10 +102,10 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
 
 def verdict(trials: Trials, ablation: Ablation) -> list[str]:
     """Sentences: where each estimator begins and ends, and what costs it most."""
-    title, unit = ERRORS[errors(trials)[0]]
+    key = errors(trials)[0]
+    title, unit = ERRORS[key]
     told = []
     for run in trials.complete:
-        key = errors(trials)[0]
         ends = [_value(trials, run, key, ablation.label(present)) for present in (ablation.defects, ())]
         costs = {name: cost(trials, run, ablation, name) for name in ablation.defects}
         failed = [
