@@ -2,16 +2,23 @@
 
 import argparse
 import logging
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import yaml
 
-from vislam.errors import ConfigError, DataError, DivergedError
+from vislam.errors import ConfigError, DataError, DivergedError, Interrupted
 from vislam.files import check_writable
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C or SIGTERM, as a shell gives it."""
 
 
 def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
@@ -92,10 +99,32 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
     """Do the work of a command and return its exit code; what goes wrong becomes one line."""
     logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
     try:
-        return work()
+        with interruptible():
+            return work()
     except (ConfigError, DataError) as error:
         print(f"vislam: {error}", file=sys.stderr)
         return 2
     except DivergedError as error:
         print(f"vislam: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("vislam: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Raise :class:`Interrupted` inside the block on Ctrl-C and on SIGTERM, so that workers are ended."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise Interrupted(signal.Signals(number).name)

@@ -15,7 +15,6 @@ same for all runs, so only scores of the same tracks can be compared.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
 
 from vislam.data.sequence import Sequence
 from vislam.sensors import StereoRig
@@ -218,7 +217,8 @@ def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
     if not len(one.track) or not np.array_equal(one.track, other.track):
         raise ValueError("two trajectories are compared on the same tracks, of which there must be some")
     larger = other.rms - one.rms
-    block = rankdata(one.frame // _BLOCK, method="dense") - 1
+    # SciPy's dense ranks are integers or floats by its version; these are integers in all.
+    block = np.unique(one.frame // _BLOCK, return_inverse=True)[1]
     tracks = np.bincount(block)
     balance = np.bincount(block, weights=np.sign(larger))
     generator = np.random.default_rng(seed)
