@@ -36,6 +36,8 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
 class DeadReckoning:
     """Integrates the twist less the prior mean of its bias (eqs. 23 to 25)."""
 
+    blind = True
+
     def __init__(self, problem: Problem, options: DeadReckoningOptions) -> None:
         self._problem = problem
         self._options = options

@@ -25,7 +25,7 @@ from baselines import dead_reckoning
 from benchmarks import consistency_figures
 from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
-from vislam import estimator
+from vislam import estimator, loop
 from vislam.config import parse
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.estimator import Problem
@@ -161,7 +161,7 @@ def measure(
     sigma = np.broadcast_to(problem.track_noise.sigma, (sequence.observations, 3))
     found: dict[str, Outcome | None] = {}
     for name, solver in _estimators(problem, variants):
-        run = estimator.run(solver, sequence, sigma, name=name)
+        run = loop.run(solver, sequence, sigma, name=name)
         if not run.complete:
             found[name] = None
             continue

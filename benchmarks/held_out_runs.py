@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.timing import Drive
-from vislam import estimator
+from vislam import estimator, loop
 from vislam.data.sequence import Sequence
 from vislam.estimator import Problem
 from vislam.geometry import se3
@@ -54,7 +54,7 @@ class Given:
     def run(self, name: str, *, of: str, options: Mapping[str, Any]) -> Run:
         """Run the estimator ``of``, under a name."""
         solver = estimator.find(of)(self.problem, {**OPTIONS.get(of, {}), **options})
-        return estimator.run(solver, self.sequence, self.sigma, name=name)
+        return loop.run(solver, self.sequence, self.sigma, name=name)
 
 
 @dataclass(frozen=True)

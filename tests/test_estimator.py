@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam import estimator
+from vislam import loop
 from vislam.data.source import Dataset
 from vislam.estimator import Estimate, StepRecord
 
@@ -27,7 +27,7 @@ class Scripted:
 
 def scripted_run(short, uses, **final):
     sigma = np.ones((short.sequence.observations, 3))
-    return estimator.run(Scripted(uses, **final), short.sequence, sigma, name="scripted")
+    return loop.run(Scripted(uses, **final), short.sequence, sigma, name="scripted")
 
 
 def everything(frame):

@@ -17,8 +17,8 @@ from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator
 from vislam.ekf.options import EkfOptions
 from vislam.errors import ConfigError, DivergedError
-from vislam.estimator import run
 from vislam.frozen import FrozenList
+from vislam.loop import run
 from vislam.members import members
 from vislam.terminal import Terminal
 

@@ -14,11 +14,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from vislam.errors import ConfigError, DataError, DivergedError, Interrupted
+from vislam.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted
 from vislam.files import check_writable
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C or SIGTERM, as a shell gives it."""
 
 
 def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:

@@ -1,7 +1,9 @@
 """``python -m vislam.compare``: run estimators on identical information, score and report.
 
-Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked); 2 bad
-config or data, or saved results of other data; 3 no estimator failed, but a check does not hold.
+Each run is saved when it has ended. The same command again goes on with what is there; --fresh starts over.
+Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked, and the
+others are scored); 2 bad config or data, or saved results of other data; 3 no estimator failed, but a check
+does not hold; 130 interrupted by Ctrl-C or SIGTERM (what had finished is kept, scored and reported).
 """
 
 import argparse
@@ -32,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
+    add("--fresh", action="store_true", help="run again what an earlier start of the same has finished")
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     return parser
 
@@ -62,6 +65,7 @@ def _compare(options: argparse.Namespace) -> int:
         against=options.against,
         tolerance=options.tolerance,
         report=not options.no_report,
+        fresh=options.fresh,
     )
     return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -15,15 +16,16 @@ from vislam import config as configuration
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
 from vislam.data.source import Dataset, open_dataset
-from vislam.errors import ConfigError, DataError
+from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
 from vislam.files import check_writable
 from vislam.frozen import FrozenList
-from vislam.members import members
+from vislam.keeping import FolderKeeper, Keeper, NoKeeper
+from vislam.members import Unbuilt, members
 from vislam.motion import MotionNoise
 from vislam.record import Record, Tracks
-from vislam.results import SCHEMA_VERSION, Published, Results, announce, publish
+from vislam.results import RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
@@ -51,35 +53,89 @@ def compare(
     against: Path | None = None,
     tolerance: float = 0.05,
     report: bool = True,
+    fresh: bool = False,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
-    The id is a hash of the config, the data and the code, so that a rerun lands in the same place. The checks
-    of the config are judged; ``against`` names saved results for them, which no error may exceed by more than
-    the share ``tolerance`` if they say nothing else of them. ``report`` says whether a page is wanted.
+    The id is a hash of the config, the data and the code, so that a rerun lands in the same place. Each run
+    is written when it has ended; a later start runs those that are missing or incomplete, or all if it is to
+    start ``fresh``. The checks of the config are judged; ``against`` names saved results for them, which no
+    error may exceed by more than the share ``tolerance`` if they say nothing else of them. ``report`` says
+    whether a page is wanted.
 
     Raises
     ------
     ConfigError, DataError
         Before anything is written.
     DivergedError
-        The same, if an estimator that the list of observations is to come from is incomplete.
+        If an estimator that the list of observations is to come from is incomplete.
     """
     members(config)
     checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
+    identity = identify(config, dataset)
     folder = out / result_id(config, dataset)
     check_writable(folder / "metrics.json")
-    results = run_comparison(config, dataset, terminal)
-    results.save(folder)
+    keeper = FolderKeeper(folder, fresh=fresh)
+    keeper.clear()
+    prepared = prepare(config, dataset, terminal, keeper=keeper, identity=identity)
+    if not fresh:
+        prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
+    Results(config, prepared.record, {}).begin(folder)
+    results = prepared.run()
+    if keeper.found:
+        terminal.note(f"kept from an earlier start (--fresh runs them again): {', '.join(keeper.found)}")
     published = publish(results, folder, checklist, report=report)
     announce(results, published, terminal)
     return Outcome(folder, results, published)
 
 
-def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Results:
-    """Run the estimators of a config on what of the data is not held out; nothing is written.
+@dataclass(frozen=True)
+class Prepared:
+    """A comparison that is ready to run.
+
+    Attributes
+    ----------
+    config : Config
+    record : Record
+    runner : Runner
+    estimators : dict of str to Estimator or Unbuilt
+        By the name of their run, in order.
+    """
+
+    config: Config
+    record: Record
+    runner: Runner
+    estimators: Mapping[str, Estimator | Unbuilt]
+
+    def run(self) -> Results:
+        """Run the estimators; one that fails is marked, and the others run all the same."""
+        runs, interrupted = self.runner.run_all(
+            self.estimators, frozen=self.record.frozen, gates_from=self.config.gates_from
+        )
+        return Results(self.config, self.record, runs, interrupted)
+
+
+def prepare(
+    config: Config,
+    dataset: Dataset,
+    terminal: Terminal,
+    *,
+    keeper: Keeper | None = None,
+    identity: str = "",
+) -> Prepared:
+    """Build the estimators of a config, and the common list of observations if there is to be one.
+
+    Parameters
+    ----------
+    config : Config
+    dataset : Dataset
+    terminal : Terminal
+    keeper : Keeper, optional
+        Keeps each run as soon as it has ended; None: nothing is written.
+    identity : str
+        Hash of config, data and code.
 
     Raises
     ------
@@ -95,23 +151,54 @@ def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Resu
         terminal.note(note)
     sigma = pixel_sigma(config, dataset)
     held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
-    runner = Runner(dataset.sequence.select(~held), sigma[~held], config.blas_threads, terminal)
+    runner = Runner(
+        dataset.sequence.select(~held),
+        sigma[~held],
+        config.blas_threads,
+        terminal,
+        NoKeeper() if keeper is None else keeper,
+        identity,
+    )
     frozen = None
     if config.frozen_by:
-        frozen = runner.freeze(members(config), make_problem(config, dataset), by=config.frozen_by)
-    runs = runner.run_all(estimators, frozen=frozen, gates_from=config.gates_from)
-    return Results(config, _record(dataset, sigma, held=held, frozen=frozen), runs)
+        found = members(config)
+        gating = {name: found[name].build(make_problem(config, dataset)) for name in config.frozen_by}
+        exempt = tuple(name for name, member in found.items() if member.takes_all)
+        frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
+    return Prepared(config, _record(dataset, sigma, held=held, frozen=frozen), runner, estimators)
 
 
-def build_estimators(config: Config, dataset: Dataset) -> dict[str, Estimator]:
-    """Build the estimators by the name of their run, in order; a ConfigError names a wrong option."""
-    problem = make_problem(config, dataset)
-    # Who is given a frozen list does not gate; who is given all observations does as it is told.
-    listed = replace(problem, gate_probability=1.0) if config.frozen_by else problem
-    return {
-        name: member.build(problem if member.takes_all else listed)
-        for name, member in members(config).items()
-    }
+def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Results:
+    """Run the estimators of a config on what of the data is not held out; nothing is written.
+
+    Raises
+    ------
+    ConfigError, DataError
+        Before anything runs.
+    DivergedError
+        If an estimator that the list of observations is to come from is incomplete.
+    Interrupted
+        On Ctrl-C or SIGTERM.
+    """
+    results = prepare(config, dataset, terminal).run()
+    if results.interrupted:
+        raise Interrupted
+    return results
+
+
+def build_estimators(config: Config, dataset: Dataset) -> dict[str, Estimator | Unbuilt]:
+    """Build the estimators by the name of their run, in order; a ConfigError names a wrong option.
+
+    Each has a problem of its own, so that none can change what another was given.
+    """
+    built = {}
+    for name, member in members(config).items():
+        problem = make_problem(config, dataset)
+        # Who is given a frozen list does not gate; who is given all observations does as it is told.
+        if config.frozen_by and not member.takes_all:
+            problem = replace(problem, gate_probability=1.0)
+        built[name] = member.build(problem)
+    return built
 
 
 def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenList | None) -> Record:
@@ -130,6 +217,7 @@ def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenLi
         },
         repairs=whole.repairs,
         stamp=whole.stamp,
+        step_twist=whole.step_means()[0],
         rig=whole.rig,
         given=given,
         held_out=kept_back,
@@ -148,7 +236,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
             "data.repair.levelled_velocity on if the third velocity component is one"
         )
     return Problem(
-        rig=dataset.sequence.rig,
+        rig=dataset.sequence.rig.copy(),
         noise=MotionNoise(np.array(noise.twist_density), np.array(noise.bias_walk)),
         first_pose_sigma=np.array(noise.first_pose_sigma),
         bias_mean=np.array(noise.bias_mean),
@@ -177,10 +265,24 @@ def _track_noise(config: Config) -> TrackNoise:
     return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
 
 
-def result_id(config: Config, dataset: Dataset) -> str:
+def identify(config: Config, dataset: Dataset) -> str:
     """Hash of config, data and code version."""
     parts = [configuration.dump(config), dataset.sequence.digest, code_digest()]
-    return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
+    return hashlib.sha256("|".join(parts).encode()).hexdigest()
+
+
+def result_id(config: Config, dataset: Dataset) -> str:
+    """Name of the results folder: that of the config, and the beginning of the hash."""
+    return f"{config.name}-{identify(config, dataset)[:_ID_DIGITS]}"
+
+
+def earlier_provenance(record: Record, folder: Path) -> Record:
+    """Record with the date and machine of an earlier start in the same folder, if there was one."""
+    try:
+        earlier = Record.load(folder / RECORD)
+    except DataError:
+        return record
+    return replace(record, provenance=earlier.provenance)
 
 
 def provenance() -> dict[str, str]:

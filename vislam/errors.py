@@ -1,5 +1,8 @@
 """The errors that the command line turns into exit codes."""
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C or SIGTERM, as a shell gives it."""
+
 
 class ConfigError(ValueError):
     """A configuration that cannot be used; the message names the dotted path of the key."""
@@ -13,8 +16,15 @@ class DivergedError(RuntimeError):
     """An estimator that lost its covariance or its solution; the message names the frame."""
 
 
+class ContractError(ValueError):
+    """What an estimator returned is not what the interface asks for; the message names the field."""
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C or SIGTERM, as the commands raise it; a bare KeyboardInterrupt comes from somebody's code."""
+
+    def __str__(self) -> str:
+        return "interrupted"
 
 
 def first_line(error: BaseException) -> str:

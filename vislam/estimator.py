@@ -1,19 +1,13 @@
-"""The one interface of all estimators, how they are found, and the loop that owns the clock."""
+"""The one interface of all estimators, and how they are found by name."""
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
-import numpy as np
-from threadpoolctl import threadpool_limits
-
-from vislam.data.sequence import Frame, Sequence
+from vislam.data.sequence import Frame
 from vislam.errors import ConfigError
-from vislam.memory import PeakMemory
 from vislam.motion import MotionNoise
-from vislam.run import Run
 from vislam.sensors import StereoRig, TrackNoise
 from vislam.types import Array, BoolArray, IntArray
 
@@ -158,7 +152,11 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """What is built from a :class:`Problem` and options, fed frames in order, then asked for its end."""
+    """What is built from a :class:`Problem` and options, fed frames in order, then asked for its end.
+
+    One that is not meant to use the camera says so by an attribute ``blind = True``; any other that has fused
+    no observation in the end is reported as degenerate.
+    """
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
         """Take one frame; ``refused (n,)`` marks observations that a shared gate has taken out."""
@@ -178,104 +176,10 @@ def find(name: str, *, section: str = "") -> Build:
     if name not in known:
         where = f"estimators.{name}" if section in ("", name) else f"estimators.{section}.estimator: {name}"
         raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(known))}")
-    build: Build = known[name].load()
+    entry = known[name]
+
+    def build(problem: Problem, options: Mapping[str, Any]) -> Estimator:
+        # Loaded here: what the module of one estimator raises is the failure of that run alone.
+        return entry.load()(problem, options)
+
     return build
-
-
-def run(
-    estimator: Estimator,
-    sequence: Sequence,
-    sigma: Array,
-    *,
-    name: str,
-    refused: BoolArray | None = None,
-    on_frame: Callable[[int], None] = lambda k: None,
-    blas_threads: int = 1,
-) -> Run:
-    """Feed a sequence to an estimator and keep all it says.
-
-    Parameters
-    ----------
-    estimator : Estimator
-    sequence : Sequence
-    sigma : (n, 3)
-        Standard deviation of each observation's (uL, uR, v) [px].
-    name : str
-    refused : (n,), optional
-        Observations that a shared gate has taken out.
-    on_frame : callable
-        Called with the index of each finished frame.
-    blas_threads : int
-        Threads of the linear algebra. The matrices are small, and NumPy and SciPy each have a pool of
-        their own: with more than one, the two mostly wait for each other.
-
-    Returns
-    -------
-    Run
-        Marked incomplete, with the error's text and all frames up to it, if the estimator failed.
-    """
-    refused = np.zeros(sequence.observations, bool) if refused is None else refused
-    used, gated = np.zeros(sequence.observations, bool), np.zeros(sequence.observations, bool)
-    records: list[StepRecord] = []
-    step_time: list[float] = []
-    error, estimate = "", None
-    with threadpool_limits(blas_threads), PeakMemory() as memory:
-        started = time.perf_counter()
-        try:
-            for frame in sequence.frames(sigma):
-                rows = slice(sequence.offset[frame.k], sequence.offset[frame.k + 1])
-                before = time.perf_counter()
-                record = estimator.process(frame, refused[rows])
-                step_time.append(time.perf_counter() - before)
-                records.append(record)
-                used[rows], gated[rows] = record.used, record.gated
-                on_frame(frame.k)
-            estimate = estimator.finalize()
-            if estimate.fused is not None:
-                used = sequence.mask_of(*estimate.fused)
-        except (ArithmeticError, RuntimeError, ValueError, np.linalg.LinAlgError) as failure:
-            text = next((line for line in str(failure).splitlines() if line.strip()), "")
-            error = f"frame {len(records)}: {type(failure).__name__}: {text}"
-        total = time.perf_counter() - started
-    causal = np.array([record.world_T_imu for record in records]).reshape(-1, 4, 4)
-    causal_cov = _stack([record.pose_cov for record in records], (6, 6))
-    poses, pose_cov = causal, causal_cov
-    if estimate is not None and not np.array_equal(estimate.world_T_imu, causal):
-        poses = estimate.world_T_imu
-        pose_cov = np.full_like(causal_cov, np.nan) if estimate.pose_cov is None else estimate.pose_cov
-    done = len(records)
-    return Run(
-        name=name,
-        error=error,
-        frames_expected=len(sequence),
-        frame=np.arange(done),
-        stamp=np.array(sequence.stamp[:done]),
-        world_T_imu=poses,
-        world_T_imu_causal=causal,
-        pose_cov=pose_cov,
-        pose_cov_causal=causal_cov,
-        bias=_stack([record.bias for record in records], (6,)),
-        bias_sigma=_stack([record.bias_sigma for record in records], (6,)),
-        nis=np.array([record.nis for record in records]),
-        dof=np.array([record.dof for record in records], dtype=np.int64),
-        log_likelihood=np.array([record.log_likelihood for record in records]),
-        world_gained=_stack([record.world_gained for record in records], (6,)),
-        step_time=np.array(step_time),
-        total_time=total,
-        peak_rss=memory.peak,
-        used=used,
-        gated=gated,
-        track=np.empty(0, np.int64) if estimate is None else estimate.track,
-        points_world=np.empty((0, 3)) if estimate is None else estimate.points_world,
-        points_cov=None if estimate is None else estimate.points_cov,
-        counts={} if estimate is None else estimate.counts,
-        events=() if estimate is None else estimate.events,
-        fit=None if estimate is None else estimate.fit,
-        **({} if estimate is None or estimate.up is None else {"up": estimate.up}),
-    )
-
-
-def _stack(parts: list[Array | None], shape: tuple[int, ...]) -> Array:
-    """Stack what is there; NaN where an estimator gave nothing."""
-    nothing = np.full(shape, np.nan)
-    return np.array([nothing if part is None else part for part in parts]).reshape(-1, *shape)

@@ -78,6 +78,7 @@ def load_trajectory(name: str, config: ReferenceConfig, record: Record) -> Run:
         points_world=np.empty((0, 3)),
         points_cov=None,
         counts={"frames_without_a_pose": len(record.stamp) - frames},
+        blind=True,
     )
 
 

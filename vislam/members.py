@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import fields
 from typing import Any, Literal
@@ -11,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from vislam import config as configuration
 from vislam import estimator
 from vislam.config import Config
-from vislam.errors import ConfigError
+from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import Build, Estimator, Problem
 from vislam.fields import STRICT
 
@@ -44,9 +45,33 @@ class Member:
     options: Mapping[str, Any]
     takes_all: bool
 
-    def build(self, problem: Problem) -> Estimator:
-        """Build the estimator."""
-        return self.builder(problem, self.options)
+    def build(self, problem: Problem) -> "Estimator | Unbuilt":
+        """Build the estimator; whatever its own code raises on the way, ``sys.exit`` included, is kept.
+
+        Raises
+        ------
+        ConfigError, DataError
+            If its options, or files that they name, cannot be used.
+        """
+        try:
+            return self.builder(problem, deepcopy(dict(self.options)))
+        except (ConfigError, DataError, Interrupted):
+            raise
+        except BaseException as failure:
+            return Unbuilt(failure)
+
+
+@plain_dataclass(frozen=True)
+class Unbuilt:
+    """An estimator that could not be built.
+
+    Attributes
+    ----------
+    failure : BaseException
+        What its code raised.
+    """
+
+    failure: BaseException
 
 
 def members(config: Config) -> dict[str, Member]:
@@ -55,6 +80,7 @@ def members(config: Config) -> dict[str, Member]:
         for name in names:
             if name not in config.estimators:
                 raise ConfigError(f"{key}: expected names out of {', '.join(config.estimators)}, got {name}")
+    _refuse_unknown_gate(config)
     found = {name: _member(name, section) for name, section in config.estimators.items()}
     for name, member in found.items():
         if member.takes_all and not config.frozen_by:
@@ -62,6 +88,16 @@ def members(config: Config) -> dict[str, Member]:
                 f"estimators.{name}.observations: all are given anyway unless there is frozen_by"
             )
     return found
+
+
+def _refuse_unknown_gate(config: Config) -> None:
+    """Raise ConfigError if the gate decisions are to come from a run that there is not.
+
+    The default may name none: without a run called ``ekf``, each gates for itself.
+    """
+    by, default = config.gates_from, Config.__dataclass_fields__["gates_from"].default
+    if by is not None and by != default and by not in config.estimators:
+        raise ConfigError(f"gates_from: expected a run ({', '.join(config.estimators)}) or null, got {by}")
 
 
 def _member(name: str, section: Mapping[str, Any]) -> Member:

@@ -66,6 +66,8 @@ class Record:
     frozen : FrozenList or None
     provenance : dict
         When, on what and with which versions the runs were made.
+    step_twist : (T, 6) or None
+        Mean inertial twist (omega, v) over the step that ends at each frame [rad/s, m/s].
     """
 
     name: str
@@ -81,6 +83,7 @@ class Record:
     reference: Reference | None
     frozen: FrozenList | None
     provenance: dict[str, str]
+    step_twist: Array | None = None
 
     def save(self, path: Path) -> None:
         """Write the record, whole or not at all."""

@@ -1,6 +1,7 @@
 """A results folder: what runs leave in it, and all that is computed from that, now or years later."""
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,11 +11,11 @@ from vislam import config as configuration
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
 from vislam.config import Config
-from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
-from vislam.errors import DataError
+from vislam.errors import INTERRUPTED, DataError
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
 from vislam.files import replace_whole
+from vislam.keeping import RUNS
 from vislam.record import Record
 from vislam.report.figures import all_figures
 from vislam.report.page import write_page
@@ -24,6 +25,7 @@ from vislam.report.table import SHORT, comparison_table
 from vislam.run import Run
 from vislam.terminal import Terminal
 
+_log = logging.getLogger("vislam")
 SCHEMA_VERSION = 1
 RECORD = "record.npz"
 _DPI = 130
@@ -39,11 +41,14 @@ class Results:
     record : Record
     runs : dict of name to Run
         In their order.
+    interrupted : bool
+        Whether it was stopped before all runs had ended.
     """
 
     config: Config
     record: Record
     runs: dict[str, Run]
+    interrupted: bool = False
 
     @property
     def title(self) -> str:
@@ -62,21 +67,18 @@ class Results:
     def _own(self) -> dict[str, Run]:
         return {name: run for name, run in self.runs.items() if name in self.config.estimators}
 
-    def save(self, folder: Path) -> None:
-        """Write config, record and runs, and trajectories and maps for others; each whole or not at all."""
+    def begin(self, folder: Path) -> None:
+        """Write what there is before any run: config and record, each whole or not at all."""
         with replace_whole(folder / "config.yaml") as temporary:
             temporary.write_text(configuration.dump(self.config), encoding="utf-8")
         self.record.save(folder / RECORD)
-        for name, run in self.runs.items():
-            run.save(folder / "runs" / f"{name}.npz")
-            write_tum(folder / f"{name}.tum", run.stamp, run.world_T_imu)
-            write_kitti(folder / f"{name}_kitti.txt", run.world_T_imu)
-            write_npz(folder / f"{name}_trajectory.npz", run)
-            write_ply(folder / f"{name}.ply", run.points_world)
 
     @classmethod
     def load(cls, folder: Path) -> "Results":
-        """Read what :meth:`save` wrote; DataError if it is not there."""
+        """Read what a comparison has left, finished or not; DataError if that is nothing.
+
+        An estimator without a saved run counts as one that did not begin.
+        """
         path = folder / "config.yaml"
         if not path.is_file():
             raise DataError(
@@ -84,9 +86,16 @@ class Results:
                 "name the folder that vislam.compare printed"
             )
         config, record = configuration.load(path), Record.load(folder / RECORD)
-        return cls(
-            config, record, {name: Run.load(folder / "runs" / f"{name}.npz") for name in config.estimators}
-        )
+        return cls(config, record, {name: _load_run(folder, name, record) for name in config.estimators})
+
+
+def _load_run(folder: Path, name: str, record: Record) -> Run:
+    path = folder / RUNS / f"{name}.npz"
+    if not path.exists():
+        reason = "not run; run the comparison again to go on with it"
+        frames, observations = len(record.stamp), len(record.given.track)
+        return Run.without_frames(name, reason, frames_expected=frames, observations=observations)
+    return Run.load(path)
 
 
 @dataclass(frozen=True)
@@ -184,6 +193,7 @@ def metrics_document(
             name: {
                 "complete": run.complete,
                 "error": run.error,
+                "degenerate": list(evaluation.degenerate(name)),
                 "frames": len(run.stamp),
                 "counts": run.counts,
                 "listed_not_fused": not_fused.get(name),
@@ -210,6 +220,10 @@ def announce(results: Results, published: Published, terminal: Terminal) -> None
     for name, run in results.runs.items():
         if not run.complete:
             terminal.note(f"{name} is incomplete: {run.error}")
+            _log.info("%s: %s", name, run.traceback)
+    for name in results.runs:
+        for reason in published.evaluation.degenerate(name):
+            terminal.note(f"{name} is degenerate and not ranked: {reason}")
     for verdict in published.verdicts:
         terminal.note(verdict.line())
 
@@ -223,6 +237,8 @@ def conclude(results: Results, published: Published, *, junit: Path | None, reru
         from vislam.report.recording import write_recording  # noqa: PLC0415
 
         write_recording(rerun, results.runs, results.record, title=results.title)
+    if results.interrupted:
+        return INTERRUPTED
     if not all(run.complete for run in results.runs.values()):
         return 1
     return 0 if all(verdict.holds for verdict in published.verdicts) else 3

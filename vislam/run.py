@@ -56,6 +56,12 @@ class Run:
         One line for each thing out of the ordinary that the estimator had to do.
     fit : tuple of float, int or None
         Sum of the squared residuals of the final estimate, each by its noise, and its degrees of freedom.
+    traceback : str
+        Where in the code it stopped early; empty for a complete run.
+    blind : bool
+        Whether the estimator is not meant to use the camera.
+    identity : str
+        Hash of all that decides the run; empty if it is not known.
     """
 
     name: str
@@ -85,6 +91,40 @@ class Run:
     up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     events: tuple[str, ...] = ()
     fit: tuple[float, int] | None = None
+    traceback: str = ""
+    blind: bool = False
+    identity: str = ""
+
+    @classmethod
+    def without_frames(cls, name: str, error: str, *, frames_expected: int, observations: int) -> "Run":
+        """Run that never began, for the reason given."""
+        unfused = np.zeros(observations, bool)
+        return cls(
+            name=name,
+            error=error,
+            frames_expected=frames_expected,
+            frame=np.empty(0, np.int64),
+            stamp=np.empty(0),
+            world_T_imu=np.empty((0, 4, 4)),
+            world_T_imu_causal=np.empty((0, 4, 4)),
+            pose_cov=np.empty((0, 6, 6)),
+            pose_cov_causal=np.empty((0, 6, 6)),
+            bias=np.empty((0, 6)),
+            bias_sigma=np.empty((0, 6)),
+            nis=np.empty(0),
+            dof=np.empty(0, np.int64),
+            log_likelihood=np.empty(0),
+            world_gained=np.empty((0, 6)),
+            step_time=np.empty(0),
+            total_time=0.0,
+            peak_rss=0,
+            used=unfused,
+            gated=unfused,
+            track=np.empty(0, np.int64),
+            points_world=np.empty((0, 3)),
+            points_cov=None,
+            counts={},
+        )
 
     @property
     def complete(self) -> bool:

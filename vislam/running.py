@@ -1,19 +1,23 @@
-"""The order in which the estimators of a comparison run, and what each of them is refused."""
+"""The order in which the estimators of a comparison run, what each of them is refused, and what is kept."""
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam import estimator
+from vislam import loop
 from vislam.data.sequence import Sequence
-from vislam.errors import ConfigError, DivergedError
-from vislam.estimator import Estimator, Problem
+from vislam.errors import ConfigError, DivergedError, Interrupted
+from vislam.estimator import Estimator
 from vislam.frozen import FrozenList
-from vislam.members import Member
+from vislam.keeping import Keeper
+from vislam.members import Unbuilt
 from vislam.run import Run
 from vislam.terminal import Terminal
 from vislam.types import Array, BoolArray
+
+_IDENTITY_DIGITS = 16
 
 
 @dataclass(frozen=True)
@@ -28,15 +32,27 @@ class Runner:
     blas_threads : int
     terminal : Terminal
         Shows how far they are.
+    keeper : Keeper
+        Is given each run as soon as it has ended, and may have it from an earlier start.
+    identity : str
+        Hash of all that decides the runs but what each is refused.
     """
 
     sequence: Sequence
     sigma: Array
     blas_threads: int
     terminal: Terminal
+    keeper: Keeper
+    identity: str = ""
 
-    def freeze(self, members: Mapping[str, Member], problem: Problem, *, by: tuple[str, ...]) -> FrozenList:
-        """Run the members named in ``by``, each without what those before it left out; keep what all fused.
+    def freeze(
+        self,
+        estimators: Mapping[str, Estimator | Unbuilt],
+        *,
+        by: tuple[str, ...],
+        exempt: tuple[str, ...] = (),
+    ) -> FrozenList:
+        """Run those named in ``by``, each without what those before it left out; keep what all fused.
 
         Raises
         ------
@@ -47,36 +63,69 @@ class Runner:
         """
         kept = np.ones(self.sequence.observations, bool)
         for name in by:
-            found = self._run(members[name].build(problem), name, ~kept, title=f"{name}, for the list")
+            found = self._found(estimators[name], name, ~kept, preparatory=True)
+            self.keeper.keep(found, preparatory=True)
             if not found.complete:
                 raise DivergedError(f"frozen_by: {name} is incomplete, so there is no list: {found.error}")
             kept &= found.used
             if not kept.any():
                 raise ConfigError(f"frozen_by: {name} has fused no observation that those before it fused")
-        exempt = tuple(name for name, member in members.items() if member.takes_all)
         return FrozenList.of(self.sequence, kept, by=by, exempt=exempt)
 
     def run_all(
-        self, estimators: Mapping[str, Estimator], *, frozen: FrozenList | None, gates_from: str | None
-    ) -> dict[str, Run]:
-        """Run the estimators one after the other.
+        self,
+        estimators: Mapping[str, Estimator | Unbuilt],
+        *,
+        frozen: FrozenList | None,
+        gates_from: str | None,
+    ) -> tuple[dict[str, Run], bool]:
+        """Run the estimators one after the other, and whether it was interrupted.
 
         With a frozen list, what is not on it is refused to all that it binds. Without one, what
         ``gates_from`` gates is refused to all that follow.
+
+        Each run is kept as soon as it has ended, whatever becomes of those after it. One that was interrupted
+        keeps the frames that it had done; those that were not reached have none.
         """
         nothing = np.zeros(self.sequence.observations, bool)
         refused = nothing if frozen is None else ~frozen.kept
-        runs = {}
-        for name, solver in estimators.items():
-            exempt = frozen is not None and name in frozen.exempt
-            runs[name] = self._run(solver, name, nothing if exempt else refused, title=name)
-            if frozen is None and name == gates_from:
-                refused = runs[name].gated
-        return runs
+        runs: dict[str, Run] = {}
+        kept: set[str] = set()
+        interrupted = False
+        try:
+            for name, solver in estimators.items():
+                exempt = frozen is not None and name in frozen.exempt
+                runs[name] = self._found(solver, name, nothing if exempt else refused)
+                self.keeper.keep(runs[name])
+                kept.add(name)
+                if frozen is None and name == gates_from:
+                    refused = runs[name].gated
+        except loop.RunInterrupted as stop:
+            runs[stop.run.name], interrupted = stop.run, True
+        except Interrupted:
+            interrupted = True
+        for name in runs.keys() - kept:
+            self.keeper.keep(runs[name])
+        reason = Interrupted()
+        return {
+            name: runs[name] if name in runs else loop.not_run(name, self.sequence, reason)
+            for name in estimators
+        }, interrupted
 
-    def _run(self, solver: Estimator, name: str, refused: BoolArray, *, title: str) -> Run:
+    def _found(
+        self, solver: Estimator | Unbuilt, name: str, refused: BoolArray, *, preparatory: bool = False
+    ) -> Run:
+        """Run of an earlier start, or of this one."""
+        text = f"{self.identity}|{name}|".encode() + np.packbits(refused).tobytes()
+        identity = hashlib.sha256(text).hexdigest()[:_IDENTITY_DIGITS]
+        kept = self.keeper.find(name, identity=identity, preparatory=preparatory)
+        if kept is not None:
+            return kept
+        if isinstance(solver, Unbuilt):
+            return loop.not_run(name, self.sequence, solver.failure)
+        title = f"{name}, for the list" if preparatory else name
         with self.terminal.progress(title, len(self.sequence)) as bar:
-            return estimator.run(
+            found = loop.run(
                 solver,
                 self.sequence,
                 self.sigma,
@@ -85,3 +134,4 @@ class Runner:
                 on_frame=lambda k: bar.update(0, completed=k + 1),  # type: ignore[arg-type]
                 blas_threads=self.blas_threads,
             )
+        return replace(found, identity=identity)

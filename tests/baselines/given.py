@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vislam import estimator
+from vislam import loop
 from vislam.estimator import Estimate, StepRecord
 from vislam.geometry import se3
 
@@ -42,5 +42,5 @@ def save_run(path, dataset, *, poses=None, track=None, points=None, points_cov=N
         points_cov,
     )
     sigma = np.ones((dataset.sequence.observations, 3))
-    estimator.run(given, dataset.sequence, sigma, name="given").save(path)
+    loop.run(given, dataset.sequence, sigma, name="given").save(path)
     return str(path)

@@ -5,7 +5,7 @@ import pytest
 
 from baselines import dead_reckoning
 from baselines.twist import step_twist
-from vislam import estimator
+from vislam import loop
 from vislam.comparison import make_problem
 from vislam.config import Config
 from vislam.data.source import Dataset
@@ -16,7 +16,7 @@ from vislam.geometry import se3
 def reckon(short: Dataset, short_config: Config, **options):
     built = dead_reckoning.build(make_problem(short_config, short), options)
     sigma = np.ones((short.sequence.observations, 3))
-    return estimator.run(built, short.sequence, sigma, name="dead_reckoning")
+    return loop.run(built, short.sequence, sigma, name="dead_reckoning")
 
 
 def test_the_first_twist_is_the_sample_at_the_start_of_the_step(short: Dataset):

@@ -8,7 +8,7 @@ import pytest
 from baselines import dead_reckoning, known_map
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact, gap
-from vislam import estimator
+from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.errors import ConfigError
 from vislam.geometry import se3
@@ -19,7 +19,7 @@ BIAS = np.array([0.01, -0.008, 0.012, 0.05, -0.03, 0.04])
 def localised(config, dataset, *, refused=None, **options):
     built = known_map.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return estimator.run(built, dataset.sequence, sigma, name="known_map", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="known_map", refused=refused)
 
 
 def biased(dataset):
@@ -53,7 +53,7 @@ def test_the_map_holds_the_pose_where_the_twist_is_wrong(clean, true):
     config, dataset = clean[0], biased(clean[1])
     reckoned = dead_reckoning.build(make_problem(config, dataset), {})
     sigma = pixel_sigma(config, dataset)
-    drifted = estimator.run(reckoned, dataset.sequence, sigma, name="dead_reckoning")
+    drifted = loop.run(reckoned, dataset.sequence, sigma, name="dead_reckoning")
     lost = gap(drifted.world_T_imu, true_poses(dataset))
     held = gap(localised(config, dataset, map=true, gate=False).world_T_imu, true_poses(dataset))
     assert held[0] < 0.1 * lost[0]

@@ -8,7 +8,7 @@ import pytest
 from baselines import dead_reckoning, mapping_only
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact
-from vislam import estimator
+from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import Dataset
 from vislam.errors import ConfigError
@@ -20,7 +20,7 @@ from vislam.triangulation import triangulate
 def mapped(config, dataset, *, refused=None, **options):
     built = mapping_only.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return estimator.run(built, dataset.sequence, sigma, name="mapping_only", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="mapping_only", refused=refused)
 
 
 def project(calibration, cam_T_world, point):
@@ -157,7 +157,7 @@ def test_by_default_the_poses_are_those_of_dead_reckoning_and_one_track_in_twent
     problem = make_problem(short_config, short)
     reckoned = dead_reckoning.build(problem, {"integration": "first"})
     sigma = pixel_sigma(short_config, short)
-    alone = estimator.run(reckoned, short.sequence, sigma, name="dead_reckoning")
+    alone = loop.run(reckoned, short.sequence, sigma, name="dead_reckoning")
     assert np.array_equal(run.world_T_imu, alone.world_T_imu)
     assert np.array_equal(run.pose_cov, alone.pose_cov)
     assert np.array_equal(run.used | run.gated, short.sequence.track % 20 == 0)

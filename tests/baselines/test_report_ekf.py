@@ -13,8 +13,8 @@ from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.errors import ConfigError
-from vislam.estimator import run
 from vislam.geometry import se3
+from vislam.loop import run
 from vislam.run import Run
 from vislam.sensors import noise
 

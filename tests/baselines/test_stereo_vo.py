@@ -12,7 +12,7 @@ from baselines.stereo_step import Prior, fit_step, residual_cov
 from tests.conftest import recorded
 from tests.smoother.drives import dark, drive, exact, gap, negative_disparities
 from vislam import config as configuration
-from vislam import estimator, motion
+from vislam import loop, motion
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import open_dataset
 from vislam.evaluation.trajectory import path_length
@@ -30,7 +30,7 @@ MOTION = se3.exp(np.array([0.01, -0.02, 0.03, 1.0, 0.1, -0.05]))
 def odometry(config, dataset, *, refused=None, **options):
     built = stereo_vo.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return estimator.run(built, dataset.sequence, sigma, name="stereo_vo", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="stereo_vo", refused=refused)
 
 
 def with_wrong_twist(dataset, error=0.05):

@@ -8,8 +8,8 @@ from vislam.config import ReferenceConfig
 from vislam.data.export import write_kitti, write_npz, write_tum
 from vislam.data.reference_files import load_reference
 from vislam.ekf import build
-from vislam.estimator import run
 from vislam.geometry import se3
+from vislam.loop import run
 
 
 def read_back(path, form, stamp):

@@ -15,7 +15,7 @@ from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.ekf.backward import Smoothed
 from vislam.ekf.dense import DenseFilter
 from vislam.ekf.linear import Update
-from vislam.estimator import run
+from vislam.loop import run
 from vislam.types import Array
 
 FORMS = [

@@ -15,7 +15,7 @@ from vislam.ekf.layout import NAV
 from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.state import JointState
 from vislam.errors import DivergedError
-from vislam.estimator import run
+from vislam.loop import run
 from vislam.motion import BIAS
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam import estimator
+from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.ekf import EkfEstimator, EkfOptions, observability
 from vislam.ekf.linear import Update
@@ -18,7 +18,7 @@ def gained(dataset, config, **options):
     """Information ``(6,)`` gained over all frames."""
     options = {"gate": False, "finished": "as_left", "observability": True, **options}
     solver = EkfEstimator(make_problem(config, dataset), EkfOptions(**options))
-    run = estimator.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
+    run = loop.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
     assert run.complete
     return run.world_gained.sum(axis=0)
 

@@ -15,9 +15,10 @@ from vislam.ekf.layout import CLOCK, NAV, OFFSET, TILT
 from vislam.ekf.linear import Update
 from vislam.ekf.state import JointState
 from vislam.errors import ConfigError
-from vislam.estimator import find, run
+from vislam.estimator import find
 from vislam.evaluation import evaluate
 from vislam.geometry import se3
+from vislam.loop import run
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import Disparity

@@ -105,4 +105,4 @@ def test_without_a_reference_the_data_alone_speak(rng):
 def test_nothing_is_said_of_what_did_not_finish(rng):
     broken = scattered("broken", rng, error="frame 299: lost")
     found = said([broken], record(rng))
-    assert found == ["No estimator finished, so nobody can be called closest."]
+    assert found == ["No estimator finished with a sound estimate, so none can be called closest."]

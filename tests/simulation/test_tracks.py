@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
-from vislam import estimator
+from vislam import estimator, loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.source import open_dataset
@@ -102,7 +102,7 @@ def estimated(name):
     config = Config(name="both", data=DataConfig(simulation=drive), noise=NoiseConfig(pixel_sigma_px=0.5))
     dataset = open_dataset(config.data, seed=2)
     built = estimator.find(name)(make_problem(config, dataset), {})
-    run = estimator.run(built, dataset.sequence, pixel_sigma(config, dataset), name=name)
+    run = loop.run(built, dataset.sequence, pixel_sigma(config, dataset), name=name)
     return run, dataset.reference
 
 

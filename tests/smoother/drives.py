@@ -12,8 +12,9 @@ from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.estimator import Problem, run
+from vislam.estimator import Problem
 from vislam.geometry import se3
+from vislam.loop import run
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions

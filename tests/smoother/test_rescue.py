@@ -6,7 +6,7 @@ import pytest
 
 from tests.smoother.drives import BUILD, ate, drive
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.estimator import run
+from vislam.loop import run
 from vislam.smoother import engine
 from vislam.smoother.engine import IndeterminateError
 

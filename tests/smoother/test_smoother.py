@@ -13,8 +13,8 @@ from vislam.config import ClimbConfig, Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.errors import ConfigError
-from vislam.estimator import run
 from vislam.geometry import se3
+from vislam.loop import run
 from vislam.smoother import engine
 from vislam.smoother.keys import X
 from vislam.smoother.starting import Start, starts

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam import estimator
+from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
 from vislam.data.sequence import Sequence
@@ -92,7 +92,7 @@ def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
 
 def _run(solver: EkfEstimator, dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
     sigma = pixel_sigma(config, dataset)
-    return estimator.run(
+    return loop.run(
         solver, dataset.sequence, sigma, name="ekf", refused=refused, blas_threads=config.blas_threads
     )
 

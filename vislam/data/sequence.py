@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vislam.arrays import immutable
 from vislam.sensors import StereoRig
 from vislam.types import Array, BoolArray, IntArray
 
@@ -196,12 +197,16 @@ class Sequence:
         return np.asarray(first[track])
 
     def frames(self, sigma: Array) -> Iterator[Frame]:
-        """Frames in order; ``sigma (n, 3)`` [px] is the noise of each observation."""
-        z = self.z
-        twist, climb = self.step_means()
+        """Frames in order; ``sigma (n, 3)`` [px] is the noise of each observation.
+
+        Their arrays cannot be made writable: what one estimator is given, the next is given too.
+        """
+        z, sigma, track = immutable(self.z), immutable(sigma), immutable(self.track)
+        means, climb = self.step_means()
+        twist = immutable(means)
         at = self.stamp + self.clock_offset
         at_frame = np.column_stack([np.interp(at, self.inertial_stamp, axis) for axis in self.twist.T])
-        change = np.diff(at_frame, axis=0, prepend=at_frame[:1])
+        change = immutable(np.diff(at_frame, axis=0, prepend=at_frame[:1]))
         dt = np.diff(self.stamp, prepend=self.stamp[0])
         for k in range(len(self)):
             rows = slice(self.offset[k], self.offset[k + 1])
@@ -212,7 +217,7 @@ class Sequence:
                 twist=twist[k],
                 twist_change=change[k],
                 climb_rate=float(climb[k]),
-                track=self.track[rows],
+                track=track[rows],
                 z=z[rows],
                 sigma=sigma[rows],
             )

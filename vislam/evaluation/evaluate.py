@@ -47,6 +47,10 @@ class Evaluation:
         """Look a statistic up; None where it does not exist."""
         return self.statistics.get((estimator, name))
 
+    def degenerate(self, name: str) -> tuple[str, ...]:
+        """Why a run is no answer to the data; empty for a sound one."""
+        return self.scores[name].degenerate if name in self.scores else ()
+
     def records(self) -> list[dict[str, object]]:
         """Metrics as plain data for JSON."""
         return [asdict(metric) for metric in self.metrics]

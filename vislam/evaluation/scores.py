@@ -9,6 +9,7 @@ import numpy as np
 from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement
 from vislam.evaluation.alignment import find_alignment
+from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
 from vislam.evaluation.normalised import Normalised
@@ -46,6 +47,8 @@ class RunScores:
         The same with the alignment of the whole trajectory.
     held_out : HeldOutScore or None
         By the tracks that no estimator was given.
+    degenerate : tuple of str
+        Why it is no answer to the data, and not to be ranked; empty for a sound run.
     """
 
     run: Run
@@ -57,6 +60,7 @@ class RunScores:
     map: MapErrors | None
     map_aligned: MapErrors | None
     held_out: HeldOutScore | None
+    degenerate: tuple[str, ...] = ()
 
     @cached_property
     def statistics(self) -> dict[str, Statistic]:
@@ -138,6 +142,7 @@ def score_run(run: Run, record: Record) -> RunScores:
             if len(held.track)
             else None
         ),
+        degenerate=degeneracies(run, record),
     )
 
 

@@ -42,6 +42,8 @@ SHORT = (
 )
 """Rows that the terminal shows: ten at most, with the status."""
 
+_SOUND = "complete"
+
 
 @dataclass(frozen=True)
 class Table:
@@ -63,10 +65,13 @@ def comparison_table(
         if any(value is not None for value in values):
             label = f"{title} [{unit}]" if unit else title
             rows.append([label, *("-" if v is None else f"{v:.{digits}f}" for v in values)])
-    if not all(run.complete for run in runs.values()):
-        states = [
-            "complete" if run.complete else f"INCOMPLETE ({len(run.stamp)} of {run.frames_expected})"
-            for run in runs.values()
-        ]
+    states = [_state(run, degenerate=bool(evaluation.degenerate(name))) for name, run in runs.items()]
+    if any(state != _SOUND for state in states):
         rows.insert(0, ["status", *states])
     return Table(["", *runs], rows)
+
+
+def _state(run: Run, *, degenerate: bool) -> str:
+    if not run.complete:
+        return f"INCOMPLETE ({len(run.stamp)} of {run.frames_expected})"
+    return "DEGENERATE" if degenerate else _SOUND

@@ -19,6 +19,7 @@ def verdict(runs: Mapping[str, Run], evaluation: Evaluation, reference: Referenc
     """Sentences, the most important first; each rests on numbers that are in ``metrics.json``."""
     told = [
         _accuracy(runs, evaluation, reference),
+        _not_ranked(runs, evaluation),
         _prediction(runs, evaluation),
         _claims(runs, evaluation),
         *_partings(runs, evaluation),
@@ -33,14 +34,21 @@ def _accuracy(runs: Mapping[str, Run], evaluation: Evaluation, reference: Refere
         return "There is no reference: what follows is from the data alone."
     ranked = _ranked(runs, evaluation, headline(reference))
     if not ranked:
-        return "No estimator finished, so nobody can be called closest."
+        return "No estimator finished with a sound estimate, so none can be called closest."
     listed = ", ".join(f"{name} {value:.2f} m" for value, name in ranked)
     return f"Closest to {reference.name} is {ranked[0][1]} (ATE after rigid alignment: {listed})."
 
 
+def _not_ranked(runs: Mapping[str, Run], evaluation: Evaluation) -> str:
+    """Name the runs that are no answer to the data, and why."""
+    told = [f"{name} ({'; '.join(reasons)})" for name in runs if (reasons := evaluation.degenerate(name))]
+    return f"Degenerate and not ranked: {'; '.join(told)}." if told else ""
+
+
 def _ranked(runs: Mapping[str, Run], evaluation: Evaluation, key: str) -> list[tuple[float, str]]:
-    """Complete runs by a metric, the smallest first."""
-    values = {name: evaluation.value(name, key) for name, run in runs.items() if run.complete}
+    """Complete and sound runs by a metric, the smallest first."""
+    sound = [name for name, run in runs.items() if run.complete and not evaluation.degenerate(name)]
+    values = {name: evaluation.value(name, key) for name in sound}
     return sorted((value, name) for name, value in values.items() if value is not None)
 
 

@@ -5,7 +5,7 @@ two images. It carries the same information on pose and landmark as the report's
 ``(uL, vL, uR, vR)`` with variance s^2 each, when v is given the variance s^2 / 2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +42,10 @@ class StereoRig:
     def cam_T_imu(self) -> Array:
         """Pose of the body in the left camera, ``(4, 4)``."""
         return se3.inverse(self.imu_T_cam)
+
+    def copy(self) -> "StereoRig":
+        """The same rig with arrays of its own."""
+        return replace(self, imu_T_cam=self.imu_T_cam.copy())
 
     def project(self, points_cam: Array) -> Array:
         """Measurement ``(n, 3)`` [px] of points ``(n, 3)`` [m] in the left camera frame (eq. 7)."""

@@ -1,0 +1,87 @@
+"""Runs whose estimate is no answer to the data: nothing fused, blown up, or nearly everything rejected.
+
+Their numbers are computed like all others, but they are marked and not ranked: dead reckoning under another
+name can well be closest to a reference.
+"""
+
+import numpy as np
+
+from vislam.geometry import se3, so3
+from vislam.record import Record
+from vislam.run import Run
+
+_LEAST_SHARE = 0.05
+"""Share of the observations below which what was fused is not the data that was given."""
+_LARGEST_JUMP = 10.0
+"""Times the length, or the turn, of a usual fast step by the inertial data, beyond which a step is none."""
+_USUAL_PERCENTILE = 95.0
+_SURE = 5.0
+"""Standard deviations of the pose before by which an update may move the pose."""
+_SMALLEST_TURN = 0.35
+"""A turn below this is no jump, however smooth the rest of the path is [rad]."""
+_LARGEST_PER_FREEDOM = 1000.0
+"""Normalised squared residuals per degree of freedom: beyond, they are 30 times their stated noise."""
+
+
+def degeneracies(run: Run, record: Record) -> tuple[str, ...]:
+    """Reasons why a run is degenerate, one line each; none for a sound run, nor for one from elsewhere."""
+    if run.blind or not len(run.stamp):
+        return ()
+    return (*_fused(run, record), *_jumps(run, record), *_residuals(run))
+
+
+def _fused(run: Run, record: Record) -> tuple[str, ...]:
+    bound = record.frozen is not None and run.name not in record.frozen.exempt
+    given = int(np.count_nonzero(record.frozen.kept)) if bound and record.frozen else len(record.given.track)
+    fused = int(np.count_nonzero(run.used))
+    if not given or not run.complete:
+        return ()
+    if not fused:
+        return ("fused no observation: it is dead reckoning under another name",)
+    if fused < _LEAST_SHARE * given:
+        return (f"fused {fused} of {given} observations only",)
+    return ()
+
+
+def _jumps(run: Run, record: Record) -> tuple[str, ...]:
+    """Steps of the final estimate that neither the inertial data nor the run's own covariance allow."""
+    consecutive = np.flatnonzero(np.diff(run.frame) == 1)
+    if record.step_twist is None or not len(consecutive):
+        return ()
+    step = se3.inverse(run.world_T_imu[consecutive]) @ run.world_T_imu[consecutive + 1]
+    moved = np.linalg.norm(step[:, :3, 3], axis=1)
+    turned = np.linalg.norm(so3.log(step[:, :3, :3]), axis=1)
+    dt = np.diff(record.stamp, prepend=record.stamp[0])
+    turn, way = (np.linalg.norm(part, axis=1) * dt for part in np.split(record.step_twist, 2, axis=1))
+    frame = run.frame[consecutive + 1]
+    variance = np.nan_to_num(np.diagonal(run.pose_cov[consecutive], axis1=1, axis2=2))
+    sure_turn, sure_way = (_SURE * np.sqrt(part.sum(axis=1)) for part in np.split(variance, 2, axis=1))
+    farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
+    widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn
+    far, wide = moved > farthest, turned > np.maximum(widest, _SMALLEST_TURN)
+    found = []
+    if far.any():
+        at = int(np.argmax(np.where(far, moved, 0.0)))
+        found.append(
+            f"jumps: {np.count_nonzero(far)} steps beyond what the inertial data allow, the largest "
+            f"{moved[at]:.3g} m at frame {frame[at]}, where they have {way[frame[at]]:.3g} m"
+        )
+    if wide.any():
+        at = int(np.argmax(np.where(wide, turned, 0.0)))
+        found.append(
+            f"jumps: {np.count_nonzero(wide)} turns beyond what the inertial data allow, the largest "
+            f"{turned[at]:.3g} rad at frame {frame[at]}, where they have {turn[frame[at]]:.3g} rad"
+        )
+    return tuple(found)
+
+
+def _residuals(run: Run) -> tuple[str, ...]:
+    """Residuals that have nothing to do with their stated noise."""
+    found = []
+    if run.fit is not None and run.fit[1] > 0 and run.fit[0] > _LARGEST_PER_FREEDOM * run.fit[1]:
+        found.append(
+            f"does not fit its measurements: fit per degree of freedom {run.fit[0] / run.fit[1]:.2g}"
+        )
+    if run.nis_per_dof > _LARGEST_PER_FREEDOM:
+        found.append(f"does not predict its measurements: NIS per degree of freedom {run.nis_per_dof:.2g}")
+    return tuple(found)

@@ -1,0 +1,219 @@
+"""The loop that feeds frames to an estimator, owns the clock, and survives whatever the estimator does."""
+
+import signal
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import chdir, contextmanager
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from vislam.arrays import immutable
+from vislam.contract import checked_estimate, checked_step
+from vislam.data.sequence import Sequence
+from vislam.errors import ContractError, Interrupted, first_line
+from vislam.estimator import Estimate, Estimator, StepRecord
+from vislam.memory import PeakMemory
+from vislam.run import Run
+from vislam.types import Array, BoolArray
+
+_LONGEST_REASON = 400
+_LONGEST_TRACEBACK = 20_000
+"""Characters kept of why a run broke off."""
+
+
+class RunInterrupted(Interrupted):
+    """Ctrl-C or SIGTERM while an estimator ran; ``run`` is what it had done."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.run = run
+
+
+def run(
+    estimator: Estimator,
+    sequence: Sequence,
+    sigma: Array,
+    *,
+    name: str,
+    refused: BoolArray | None = None,
+    on_frame: Callable[[int], None] = lambda k: None,
+    blas_threads: int = 1,
+) -> Run:
+    """Feed a sequence to an estimator and keep all it reports.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    sequence : Sequence
+    sigma : (n, 3)
+        Standard deviation of each observation's (uL, uR, v) [px].
+    name : str
+    refused : (n,), optional
+        Observations that a shared gate has taken out.
+    on_frame : callable
+        Called with the index of each finished frame.
+    blas_threads : int
+        Threads of the linear algebra. The matrices are small, and NumPy and SciPy each have a pool of
+        their own: with more than one, the two mostly wait for each other.
+
+    Returns
+    -------
+    Run
+        Marked incomplete, with the reason and all frames up to it, whatever the estimator raised or returned,
+        ``sys.exit`` included.
+
+    Raises
+    ------
+    RunInterrupted
+        On Ctrl-C or SIGTERM, with the run so far.
+    """
+    refused = np.zeros(sequence.observations, bool) if refused is None else refused
+    journal = _Journal(sequence, immutable(refused))
+    with threadpool_limits(blas_threads), PeakMemory() as memory:
+        started = time.perf_counter()
+        failure: BaseException | None = None
+        try:
+            with _left_as_found():
+                journal.feed(estimator, sigma, on_frame)
+        except BaseException as raised:
+            failure = raised
+        total = time.perf_counter() - started
+    found = journal.run(name, failure=failure, total_time=total, peak_rss=memory.peak)
+    found = replace(found, blind=bool(getattr(estimator, "blind", False)))
+    if failure is not None and _from_outside(failure):
+        raise RunInterrupted(found) from None
+    return found
+
+
+def not_run(name: str, sequence: Sequence, failure: BaseException) -> Run:
+    """Run of an estimator that could not be built, or was not reached."""
+    reason = "interrupted" if isinstance(failure, Interrupted) else f"cannot be built: {_said(failure)}"
+    never = Run.without_frames(
+        name, reason, frames_expected=len(sequence), observations=sequence.observations
+    )
+    return replace(never, traceback=_traceback(failure))
+
+
+def _from_outside(failure: BaseException) -> bool:
+    """Whether it is the user's Ctrl-C, or a SIGTERM, and no estimator's own KeyboardInterrupt."""
+    if isinstance(failure, Interrupted):
+        return True
+    python_raises = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return isinstance(failure, KeyboardInterrupt) and python_raises
+
+
+@contextmanager
+def _left_as_found() -> Iterator[None]:
+    """Undo what the code inside changes for the whole process: folder, NumPy's errors, warnings."""
+    with chdir("."), np.errstate(), warnings.catch_warnings():
+        yield
+
+
+class _Journal:
+    """What an estimator has answered so far; it can be packed into a run at any time."""
+
+    def __init__(self, sequence: Sequence, refused: BoolArray) -> None:
+        self._sequence = sequence
+        self._refused = refused
+        self._used = np.zeros(sequence.observations, bool)
+        self._gated = np.zeros(sequence.observations, bool)
+        self._steps: list[StepRecord] = []
+        self._step_time: list[float] = []
+        self._estimate: Estimate | None = None
+
+    def feed(self, estimator: Estimator, sigma: Array, on_frame: Callable[[int], None]) -> None:
+        """Feed all frames and ask for the end."""
+        sequence = self._sequence
+        for frame in sequence.frames(sigma):
+            rows = slice(sequence.offset[frame.k], sequence.offset[frame.k + 1])
+            before = time.perf_counter()
+            answer = estimator.process(frame, self._refused[rows])
+            seconds = time.perf_counter() - before
+            step = checked_step(answer, frame)
+            self._step_time.append(seconds)
+            self._steps.append(step)
+            self._used[rows], self._gated[rows] = step.used, step.gated
+            on_frame(frame.k)
+        estimate = checked_estimate(estimator.finalize(), len(self._steps))
+        if estimate.fused is not None:
+            self._used = sequence.mask_of(*estimate.fused)
+        self._estimate = estimate
+
+    def run(self, name: str, *, failure: BaseException | None, total_time: float, peak_rss: int) -> Run:
+        """Pack what is there."""
+        steps, estimate = self._steps, self._estimate
+        causal = np.array([step.world_T_imu for step in steps]).reshape(-1, 4, 4)
+        causal_cov = _stack([step.pose_cov for step in steps], (6, 6))
+        poses, pose_cov = causal, causal_cov
+        if estimate is not None and not np.array_equal(estimate.world_T_imu, causal):
+            poses = estimate.world_T_imu
+            pose_cov = np.full_like(causal_cov, np.nan) if estimate.pose_cov is None else estimate.pose_cov
+        end = _NOTHING if estimate is None else estimate
+        done = len(steps)
+        found = Run(
+            name=name,
+            error="" if failure is None else self._reason(failure),
+            traceback="" if failure is None else _traceback(failure),
+            frames_expected=len(self._sequence),
+            frame=np.arange(done),
+            stamp=np.array(self._sequence.stamp[:done]),
+            world_T_imu=poses,
+            world_T_imu_causal=causal,
+            pose_cov=pose_cov,
+            pose_cov_causal=causal_cov,
+            bias=_stack([step.bias for step in steps], (6,)),
+            bias_sigma=_stack([step.bias_sigma for step in steps], (6,)),
+            nis=np.array([step.nis for step in steps], dtype=np.float64),
+            dof=np.array([step.dof for step in steps], dtype=np.int64),
+            log_likelihood=np.array([step.log_likelihood for step in steps], dtype=np.float64),
+            world_gained=_stack([step.world_gained for step in steps], (6,)),
+            step_time=np.array(self._step_time, dtype=np.float64),
+            total_time=total_time,
+            peak_rss=peak_rss,
+            used=self._used,
+            gated=self._gated,
+            track=end.track,
+            points_world=end.points_world,
+            points_cov=end.points_cov,
+            counts=end.counts,
+            events=end.events + self._ignored_refusals(),
+            fit=end.fit,
+        )
+        return found if end.up is None else replace(found, up=end.up)
+
+    def _reason(self, failure: BaseException) -> str:
+        """Where it broke off and why, in one line."""
+        done = len(self._steps)
+        where = f"frame {done}" if done < len(self._sequence) else "finalize"
+        return f"{where}: {_said(failure)}"
+
+    def _ignored_refusals(self) -> tuple[str, ...]:
+        """Say that rejected observations were fused, for then the information was not the same."""
+        count = int(np.count_nonzero(self._used & self._refused))
+        return (f"fused {count} observations that were rejected for all",) if count else ()
+
+
+_NOTHING = Estimate(np.empty((0, 4, 4)), None, np.empty(0, np.int64), np.empty((0, 3)), None, {})
+"""The end of an estimator that did not reach it."""
+
+
+def _said(failure: BaseException) -> str:
+    """One line of what an exception says, and its type where it is not one of ours."""
+    said = first_line(failure)
+    if not isinstance(failure, ContractError | Interrupted) and said != type(failure).__name__:
+        said = f"{type(failure).__name__}: {said}"
+    return said[:_LONGEST_REASON]
+
+
+def _traceback(failure: BaseException) -> str:
+    return "".join(traceback.format_exception(failure))[-_LONGEST_TRACEBACK:]
+
+
+def _stack(parts: list[Array | None], shape: tuple[int, ...]) -> Array:
+    """Stack what is there; NaN where an estimator gave nothing."""
+    nothing = np.full(shape, np.nan)
+    return np.array([nothing if part is None else part for part in parts]).reshape(-1, *shape)
