@@ -79,3 +79,8 @@ def test_the_smallest_rotation_from_one_direction_to_another(rng):
         assert np.allclose(turn @ one / np.linalg.norm(one), other / np.linalg.norm(other))
         between = np.arccos(np.clip(one @ other / np.linalg.norm(one) / np.linalg.norm(other), -1.0, 1.0))
         assert np.isclose(np.linalg.norm(so3.log(turn)), between)
+
+
+def test_an_empty_stack_has_an_empty_logarithm():
+    assert so3.log(np.empty((0, 3, 3))).shape == (0, 3)
+    assert se3.log(np.empty((0, 4, 4))).shape == (0, 6)

@@ -37,6 +37,9 @@ def exp(omega: Array) -> Array:
 
 def log(rotation: Array) -> Array:
     """Rotation vector ``(..., 3)`` [rad], of angle at most pi, of a matrix ``(..., 3, 3)``."""
+    if not rotation.size:
+        # SciPy before 1.15 takes no empty stack.
+        return np.empty(rotation.shape[:-1])
     vectors: Array = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return vectors.reshape(rotation.shape[:-1])
 
