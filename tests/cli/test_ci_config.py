@@ -104,14 +104,14 @@ def test_a_swapped_order_of_the_tangent_is_caught(estimator, tmp_path, monkeypat
     """Covariances in the order (v, omega)."""
     from vislam import running
 
-    true = running.estimator.run
+    true = running.loop.run
 
     def swapped(*arguments, **options):
         run = true(*arguments, **options)
         order = np.ix_(range(len(run.stamp)), [3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
         return replace(run, pose_cov=run.pose_cov[order], pose_cov_causal=run.pose_cov_causal[order])
 
-    monkeypatch.setattr(running.estimator, "run", swapped)
+    monkeypatch.setattr(running.loop, "run", swapped)
     failed = failing(tmp_path, estimators=estimator)
     assert (estimator, "nees_pose") in failed
 

@@ -179,7 +179,7 @@ def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypa
 
     monkeypatch.setattr(conduct, "run_trials", interrupted)
     assert study() == 130
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == "vislam: interrupted\n"
     assert len(list(only("*/trials").glob("*.json"))) == 1
     assert not list(Path("out").glob("*/trials.csv"))
 

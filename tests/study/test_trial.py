@@ -44,13 +44,13 @@ def test_a_trial_that_raises_is_a_result(tree):
 def test_an_incomplete_estimator_is_named_and_not_scored(tree, monkeypatch):
     import vislam.running
 
-    whole = vislam.running.estimator.run
+    whole = vislam.running.loop.run
 
     def stopped(solver, *args, name, **kwargs):
         run = whole(solver, *args, name=name, **kwargs)
         return replace(run, error="frame 7: lost") if name == "ekf" else run
 
-    monkeypatch.setattr(vislam.running.estimator, "run", stopped)
+    monkeypatch.setattr(vislam.running.loop, "run", stopped)
     found = run_trial(tree, 0)
     assert (found["status"], found["reason"]) == ("done", "ekf: frame 7: lost")
     assert found["runs"]["ekf"] == {"complete": False, "error": "frame 7: lost"}
