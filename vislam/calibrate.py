@@ -53,6 +53,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         config.data,
         seed=config.seed,
         data_dir=options.data_dir,
+        config_dir=options.config.parent,
         allow_stand_in=not options.no_stand_in,
     )
     if dataset.sequence.stand_in:

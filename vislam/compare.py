@@ -60,6 +60,7 @@ def _compare(options: argparse.Namespace) -> int:
         config,
         out=options.out,
         data_dir=options.data_dir,
+        config_dir=options.config.parent,
         allow_stand_in=not options.no_stand_in,
         terminal=Terminal(),
         against=options.against,

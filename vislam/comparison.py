@@ -15,7 +15,7 @@ import numpy as np
 from vislam import config as configuration
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
-from vislam.data.source import Dataset, open_dataset
+from vislam.data.source import Dataset, open_dataset, require_usable
 from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
@@ -48,6 +48,7 @@ def compare(
     *,
     out: Path,
     data_dir: Path | None,
+    config_dir: Path | None = None,
     allow_stand_in: bool,
     terminal: Terminal,
     against: Path | None = None,
@@ -72,7 +73,9 @@ def compare(
     """
     members(config)
     checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
-    dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    dataset = open_dataset(
+        config.data, seed=config.seed, data_dir=data_dir, config_dir=config_dir, allow_stand_in=allow_stand_in
+    )
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     identity = identify(config, dataset)
     folder = out / result_id(config, dataset)
@@ -144,8 +147,7 @@ def prepare(
     DivergedError
         If an estimator that the list of observations is to come from is incomplete.
     """
-    if dataset.sequence.observations == 0:
-        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
+    require_usable(dataset)
     estimators = build_estimators(config, dataset)
     for note in dataset.notes:
         terminal.note(note)

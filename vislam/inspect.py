@@ -32,19 +32,20 @@ def _parser() -> argparse.ArgumentParser:
 def _inspect(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam import config as configuration  # noqa: PLC0415
+    from vislam.data.find import search_path  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
     from vislam.errors import ConfigError, DataError  # noqa: PLC0415
     from vislam.files import check_writable, replace_whole  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
+    from vislam.inspection.written import proposed_config  # noqa: PLC0415
     from vislam.report.inspection import write_inspection  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     if (options.config is None) == (options.file is None):
         raise ConfigError("one of --config and --file must be given")
-    if options.file is not None and not options.file.is_file():
-        raise DataError(f"{options.file}: no such file")
-    tree = configuration.read(options.config) if options.config else _tree(options.file)
+    home = None if options.config is None else options.config.parent
+    tree = configuration.read(options.config) if options.config else _tree(options.file, options.data_dir)
     for dotted, value in overrides(options).items():
         configuration.put(tree, dotted, value)
     config = configuration.parse(configuration.Config, tree)
@@ -55,7 +56,8 @@ def _inspect(options: argparse.Namespace) -> int:
     dataset = open_dataset(
         unrepaired(config).data,
         seed=config.seed,
-        data_dir=options.data_dir if options.file is None else options.file.resolve().parent,
+        data_dir=options.data_dir,
+        config_dir=home,
         allow_stand_in=not options.no_stand_in,
     )
     if dataset.sequence.stand_in:
@@ -71,19 +73,27 @@ def _inspect(options: argparse.Namespace) -> int:
         terminal.note("proposed:")
         for dotted, value in result.proposal.items():
             terminal.note(f"  {dotted}: {configuration.inline(value)}")
-            configuration.put(tree, dotted, value)
     if options.write_config is not None:
-        written = configuration.dump(configuration.parse(configuration.Config, tree))
+        folders = search_path(options.data_dir, config_dir=home)
+        text = proposed_config(tree, result, folders=folders, written_to=options.write_config)
         with replace_whole(options.write_config) as temporary:
-            temporary.write_text(written, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
         terminal.note(f"config: {options.write_config}")
     return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
 
 
-def _tree(file: Path) -> dict[str, Any]:
+def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     """Config of a bare file: nothing repaired, so that every trap is found."""
+    from vislam.data.find import find_file, not_found, search_path  # noqa: PLC0415
+    from vislam.errors import DataError  # noqa: PLC0415
+
+    # Beside --data-dir a file is where the command line says; a bare name is looked for as a config's is.
+    folders = [*([] if data_dir is None else [data_dir]), Path(), *search_path(data_dir)]
+    found = find_file(str(file), folders)
+    if found is None:
+        raise DataError(not_found(str(file), folders))
     nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
-    return {"name": file.stem, "data": {"file": file.name, "repair": nothing}}
+    return {"name": file.stem, "data": {"file": str(found.resolve()), "repair": nothing}}
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def _simulate(options: argparse.Namespace) -> int:
     truth_path = options.out.with_name(f"{options.out.stem}_truth.tum")
     for path in (options.out, truth_path):
         check_writable(path)
-    folders = search_path(options.data_dir)
+    folders = search_path(options.data_dir, config_dir=options.config.parent)
     sequence, truth = simulated_drive(simulation, seed=config.seed, name=options.out.stem, folders=folders)
     # The truth comes into being inside, so that neither file is there without the other.
     with replace_whole(options.out) as temporary:

@@ -13,8 +13,8 @@ from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import maximise
 from vislam.config import Config
-from vislam.data.source import Dataset
-from vislam.errors import DataError, DivergedError
+from vislam.data.source import Dataset, require_usable
+from vislam.errors import DivergedError
 from vislam.run import Run
 from vislam.types import Array, BoolArray
 
@@ -106,8 +106,7 @@ def calibrate(
     DivergedError
         If the filter does not finish with the config it starts from.
     """
-    if dataset.sequence.observations == 0:
-        raise DataError(f"{dataset.sequence.name}: no stereo observation is left after the repairs")
+    require_usable(dataset)
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, mp_context=context) if processes > 1 else None
     try:

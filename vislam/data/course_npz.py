@@ -23,7 +23,8 @@ _UNSEEN = -1.0
 _MOST_SMALL_VALUES = 1 << 22
 _MOST_SEEN_VALUES = 1 << 24
 """Values of ``features`` that are no sentinels, four an observation; more would take gigabytes to sort."""
-_LARGEST_STAMP = 1e11
+_LARGEST_STAMP = 1e20
+"""Nanoseconds since 1970 are read, to be told from seconds by their steps (``vislam.data.plausibility``)."""
 _LARGEST_NUMBER = 1e6
 """Of pixels and lengths [px, m]: beyond it a number is no measurement, and squares of squares overflow."""
 _LARGEST_TWIST = 200.0
@@ -80,8 +81,10 @@ class _Reader:
             self._one_of(key)
         stamp = self._stamps()
         frames = len(stamp)
-        velocities = (angular, "linear_velocity")
-        twist = np.vstack([self._small(key, (3, frames), largest=_LARGEST_TWIST) for key in velocities])
+        units = {angular: "rad/s", "linear_velocity": "m/s"}
+        twist = np.vstack(
+            [self._small(key, (3, frames), largest=_LARGEST_TWIST, unit=unit) for key, unit in units.items()]
+        )
         pose = self._rigid_transform(extrinsic)
         if extrinsic == "cam_T_imu":
             pose = se3.inverse(pose)
@@ -125,7 +128,12 @@ class _Reader:
             raise DataError(f"{self._path}: '{key}' {error}") from None
 
     def _small(
-        self, key: str, shape: tuple[int, ...] | None = None, *, largest: float = _LARGEST_NUMBER
+        self,
+        key: str,
+        shape: tuple[int, ...] | None = None,
+        *,
+        largest: float = _LARGEST_NUMBER,
+        unit: str = "",
     ) -> Array:
         """Read a whole array of finite numbers, float64, of the given shape."""
         packed = self._open(key)
@@ -135,16 +143,19 @@ class _Reader:
             raise self._fail(key, f"of at most {_MOST_SMALL_VALUES} numbers", f"shape {packed.shape}")
         with packed.stream:
             flat = np.concatenate([np.empty(0), *packed.chunks()])
-        self._check_numbers(key, flat, largest)
+        self._check_numbers(key, flat, largest, unit=unit)
         return flat.reshape(packed.shape, order="F" if packed.fortran else "C")
 
-    def _check_numbers(self, key: str, values: Array, largest: float) -> None:
+    def _check_numbers(self, key: str, values: Array, largest: float, *, unit: str = "") -> None:
         infinite = np.count_nonzero(~np.isfinite(values))
         if infinite:
             raise self._fail(key, "free of NaN and infinity", f"{infinite} of them")
         beyond = np.flatnonzero(np.abs(values) > largest)
         if len(beyond):
-            raise self._fail(key, f"made of numbers up to {largest:g}", f"{values[beyond[0]]:g}")
+            got = f"{values[beyond[0]]:g}"
+            if unit:
+                got = f"{got}: is it in another unit?"
+            raise self._fail(key, f"made of numbers up to {largest:g}{unit and ' '}{unit}", got)
 
     def _stamps(self) -> Array:
         stamp = self._small("time_stamps", largest=_LARGEST_STAMP)

@@ -24,6 +24,7 @@ _COLUMNS = 30
 _TWIST = [17, 18, 19, 8, 9, 10]
 """Columns of (omega, v)."""
 _MOST_SAMPLES = 1_000_000
+_MOST_DIGITS = 20
 _UNCOVERED = 1.0
 """The samples may begin and end so far inside the recording [s]; beyond them the nearest one is held."""
 _STAMP = re.compile(rb"((?:19|20)\d\d-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
@@ -80,20 +81,34 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
 
 
 def _samples(folder: Path) -> Array:
-    """Read the numbers of all samples, ``(S, 30)``, in the order of their file names."""
-    paths = sorted((folder / "data").glob("*.txt"))
+    """Read the numbers of all samples, ``(S, 30)``, in the order of the numbers that name their files."""
+    paths = list((folder / "data").glob("*.txt"))
     if not 2 <= len(paths) <= _MOST_SAMPLES:
         raise DataError(
             f"{folder}: must have 2 to {_MOST_SAMPLES} files data/*.txt, got {len(paths)}; "
             "name the folder oxts of a KITTI raw drive"
         )
     rows = np.empty((len(paths), _COLUMNS))
-    for row, path in zip(rows, paths, strict=True):
+    for row, path in zip(rows, _by_number(paths), strict=True):
         table, _ = read_table(path, columns=_COLUMNS)
         if len(table) != 1:
             raise DataError(f"{path}: must hold one line of {_COLUMNS} numbers, got {len(table)}")
         row[:] = table[0]
     return rows
+
+
+def _by_number(paths: list[Path]) -> list[Path]:
+    """Files in the order of their numbers, whatever their padding."""
+    numbered: dict[int, Path] = {}
+    for path in sorted(paths):
+        if not (path.stem.isascii() and path.stem.isdigit() and len(path.stem) <= _MOST_DIGITS):
+            raise DataError(
+                f"{path}: must be named by the number of its sample, as 0000000000.txt; rename or remove it"
+            )
+        other = numbered.setdefault(int(path.stem), path)
+        if other is not path:
+            raise DataError(f"{path}: must be the only sample of its number, got {other.name}; remove one")
+    return [numbered[number] for number in sorted(numbered)]
 
 
 def _in_clock_of(sequence: Sequence, path: Path, camera_timestamps: Path, *, samples: int) -> Array:

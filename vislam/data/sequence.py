@@ -64,12 +64,16 @@ class Repair:
     options : dict
     counts : dict of str to int
         What it cut or dropped.
+    before, after : int
+        Observations that it was given and that it left.
     """
 
     name: str
     applied: bool
     options: dict[str, Any]
     counts: dict[str, int]
+    before: int = 0
+    after: int = 0
 
 
 @dataclass(frozen=True)

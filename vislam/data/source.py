@@ -12,10 +12,11 @@ from vislam.data.course_npz import load_course_npz
 from vislam.data.find import find_file, not_found, search_path
 from vislam.data.gtsam_stereo import load_kitti00
 from vislam.data.oxts import with_oxts
+from vislam.data.plausibility import Implausible, implausible
 from vislam.data.recorded_drive import simulated_drive
 from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
-from vislam.data.sequence import Sequence
+from vislam.data.sequence import Repair, Sequence
 from vislam.errors import DataError
 
 _log = logging.getLogger("vislam.data")
@@ -32,15 +33,36 @@ class Dataset:
     reference : Reference or None
     notes : tuple of str
         What a reader of the report must know: stand-in, made odometry, missing reference.
+    implausible : tuple of Implausible
+        What of the data as it was read is off by orders of magnitude.
     """
 
     sequence: Sequence
     reference: Reference | None
     notes: tuple[str, ...]
+    implausible: tuple[Implausible, ...] = ()
+
+
+def require_usable(dataset: Dataset) -> None:
+    """Raise DataError, in one line, if no estimator can be run on a dataset.
+
+    That is if its units are off by orders of magnitude, or if the repairs have left no observation.
+    """
+    name = dataset.sequence.name
+    if dataset.implausible:
+        raise DataError(f"{name}: {dataset.implausible[0]}")
+    if dataset.sequence.observations == 0:
+        taken = _taken(dataset.sequence)
+        raise DataError(f"{name}: no stereo observation is left after the repairs: {taken}")
 
 
 def open_dataset(
-    config: DataConfig, *, seed: int, data_dir: Path | None = None, allow_stand_in: bool = True
+    config: DataConfig,
+    *,
+    seed: int,
+    data_dir: Path | None = None,
+    config_dir: Path | None = None,
+    allow_stand_in: bool = True,
 ) -> Dataset:
     """Read or simulate, then repair.
 
@@ -51,6 +73,8 @@ def open_dataset(
         Seed of a simulation, and of the noise of packaged data.
     data_dir : Path, optional
         First folder to look for files.
+    config_dir : Path, optional
+        Folder of the file that the config was loaded from, the next to look for files.
     allow_stand_in : bool
         Whether a missing recording may be replaced by the config's simulation.
 
@@ -61,7 +85,7 @@ def open_dataset(
     """
     if config.packaged is not None:
         return _packaged(config, config.packaged, seed)
-    folders = search_path(data_dir)
+    folders = search_path(data_dir, config_dir=config_dir)
     path = None if config.file is None else find_file(config.file, folders)
     if path is not None:
         return _recorded(config, path, folders)
@@ -74,18 +98,29 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
     sequence = load_course_npz(path)
     if config.inertial is not None:
         sequence = _with_inertial(sequence, config.inertial, [path.parent, *folders])
+    wrong = _implausible(sequence, config)
     sequence = _repaired(sequence, config)
     if config.reference is None:
-        return Dataset(sequence, None, ("no reference: nothing here says how far off an estimate is",))
+        note = "no reference: nothing here says how far off an estimate is"
+        return Dataset(sequence, None, (note,), wrong)
     found = find_file(config.reference.file, [path.parent, *folders])
     if found is None:
         note = f"reference {config.reference.file} not found: runs are compared with each other only"
         _log.warning(note)
-        return Dataset(sequence, None, (note,))
+        return Dataset(sequence, None, (note,), wrong)
     reference = load_reference(
         found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
-    return Dataset(sequence, reference, ())
+    return Dataset(sequence, reference, (), wrong)
+
+
+def _implausible(sequence: Sequence, config: DataConfig) -> tuple[Implausible, ...]:
+    """What is implausible of a recording as read, with the baseline that the config may give it.
+
+    The other repairs trust the units: under wrong ones they cut all tracks, and nothing would be left to see.
+    """
+    baseline = config.repair.baseline
+    return tuple(implausible(sequence if baseline is None else baseline.apply(sequence)))
 
 
 def _with_inertial(sequence: Sequence, config: InertialConfig, folders: list[Path]) -> Sequence:
@@ -139,3 +174,24 @@ def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
     }
     _log.info("%s: %s", sequence.name, ", ".join(f"{key} {value}" for key, value in counts.items()))
     return replace(sequence, counts=counts)
+
+
+def _taken(sequence: Sequence) -> str:
+    """Which steps dropped how many observations, and what they counted."""
+    taking = [step for step in sequence.repairs if step.applied and step.after < step.before]
+    if not taking:
+        return "none was in the recording; look at what its features hold"
+    told = ", ".join(
+        f"{step.name} dropped {step.before - step.after} of {step.before}{_counted(step)}" for step in taking
+    )
+    worst = max(taking, key=lambda step: step.before - step.after)
+    return f"{told}; python -m vislam.inspect says why, data.repair.{worst.name} switches it"
+
+
+def _counted(step: Repair) -> str:
+    """What a step counted of what it dropped, in brackets."""
+    counts = {key: count for key, count in step.counts.items() if key.startswith("dropped") and count}
+    listed = ", ".join(
+        f"{count} {key.removeprefix('dropped_').replace('_', ' ')}" for key, count in counts.items()
+    )
+    return f" ({listed})" if listed else ""

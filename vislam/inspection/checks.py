@@ -1,20 +1,43 @@
 """All checks in their order: each works on the sequence as mended by what the checks before it have found."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
+from vislam import config as configuration
 from vislam.config import Config
 from vislam.data.sequence import Sequence
-from vislam.inspection import motion, mounting, pixels, stereo, tracks
+from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
-from vislam.repair import RepairConfig
+from vislam.inspection.lever_arm import check_lever_arm
+from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus
 from vislam.repair.inertial import Clock, LevelledVelocity
-from vislam.repair.pixels import Disparity
+from vislam.repair.mounting import Baseline
+from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
 from vislam.types import Array
-from vislam.vision import continuations, rigid_fits
+from vislam.vision import RigidFit, continuations, rigid_fits
 
 _FEWEST_FRAMES = 20
+_KEPT = 0.5
+"""Repairs that leave less than this share are not proposed, and a step that does so is a fault."""
+_REPAIR = "data.repair."
+_STEREO = ("stereo scale", "disparity offset")
+_NEEDS_MOTION = (
+    "data.repair.axes",
+    "data.repair.extrinsic",
+    "data.repair.baseline",
+    "data.repair.clock",
+    "data.repair.disparity_offset",
+    "data.repair.consensus",
+    "noise.pixel_sigma_px",
+    "noise.drift_px",
+    "noise.match_px",
+    "noise.bias_mean",
+    "noise.bias_sigma",
+)
+"""What is told by the camera's own motion."""
+_DROPPING = ("disparity", "consensus", "stale_tracks")
 
 
 @dataclass
@@ -43,19 +66,70 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
     """
     book = _Book()
     repair = config.data.repair
-    book.enter(tracks.check_stamps(raw))
-    book.enter(tracks.check_observations(raw, repair))
-    book.enter(*tracks.check_stale(raw, repair))
-    book.enter(motion.check_inertial_noise(raw, density=config.noise.twist_density))
-    cut = Interruptions().apply(StaleTracks().apply(raw))
-    book.enter(*tracks.check_track_counts(cut))
+    if repair.baseline is not None:
+        raw = repair.baseline.apply(raw)
+    sequence = units.in_plausible_units(raw)
+    book.enter(tracks.check_stamps(raw, in_seconds=sequence))
+    book.enter(units.check_units(raw, sequence))
+    book.enter(observations.check_observations(sequence, repair))
+    book.enter(*tracks.check_stale(sequence, repair))
+    cut = Interruptions().apply(StaleTracks().apply(sequence))
+    few = book.enter(*tracks.check_track_counts(cut))
     _check_motion(_as_configured(Disparity().apply(cut), repair), config, book)
-    return Inspection(raw.name, tuple(book.found), book.series)
+    found = _checked_repairs(sequence, repair, book.found)
+    if few.verdict in ("fault", "unclear"):
+        # What all others rest on goes first.
+        found = [few, *(item for item in found if item.check != few.check)]
+    return Inspection(raw.name, tuple(found), book.series)
+
+
+def _checked_repairs(sequence: Sequence, repair: RepairConfig, found: list[Finding]) -> list[Finding]:
+    """Findings without the proposals of steps that would leave nearly nothing, and what the repairs leave."""
+    proposed = _repaired(sequence, repair, found)
+    if proposed.observations < _KEPT * _repaired(sequence, repair, []).observations:
+        found = [_withdrawn(item, proposed.observations, sequence.observations) for item in found]
+        proposed = _repaired(sequence, repair, found)
+    counts: dict[str, float] = {"observations": proposed.observations, "of": sequence.observations}
+    left = f"with what is proposed they leave {proposed.observations} of {sequence.observations} observations"
+    heavy = [
+        f"{step.name} drops {step.before - step.after} of {step.before}"
+        for step in proposed.repairs
+        if step.after < _KEPT * step.before
+    ]
+    if not heavy:
+        return [*found, Finding("repairs", "ok", left, counts=counts)]
+    text = f"{left}: {', '.join(heavy)}"
+    unknown = {"data.repair": f"whether they suit this recording: {text}"}
+    return [*found, Finding("repairs", "fault", text, counts=counts, unknown=unknown)]
+
+
+def _repaired(sequence: Sequence, repair: RepairConfig, found: list[Finding]) -> Sequence:
+    """Sequence under the configured repairs and those that the findings propose."""
+    tree: dict[str, Any] = asdict(repair)
+    for finding in found:
+        for path, value in finding.proposal.items():
+            if path.startswith(_REPAIR):
+                tree[path.removeprefix(_REPAIR)] = value
+    return apply(sequence, configuration.parse(RepairConfig, tree))
+
+
+def _withdrawn(finding: Finding, left: int, of: int) -> Finding:
+    """Finding without the proposal of a step that drops or cuts tracks."""
+    dropping = [path for path in finding.proposal if path.removeprefix(_REPAIR) in _DROPPING]
+    if not dropping:
+        return finding
+    reason = f"not proposed: with it the repairs would leave {left} of {of} observations"
+    return replace(
+        finding,
+        text=f"{finding.text}; {reason}",
+        proposal={path: value for path, value in finding.proposal.items() if path not in dropping},
+        unknown={**finding.unknown, **dict.fromkeys(dropping, reason)},
+    )
 
 
 def _as_configured(sequence: Sequence, repair: RepairConfig) -> Sequence:
-    """Sequence with the configured baseline, disparity offset and clock."""
-    for step in (repair.baseline, repair.disparity_offset, repair.clock):
+    """Sequence with the configured disparity offset and clock."""
+    for step in (repair.disparity_offset, repair.clock):
         if step is not None:
             sequence = step.apply(sequence)
     return sequence
@@ -63,7 +137,7 @@ def _as_configured(sequence: Sequence, repair: RepairConfig) -> Sequence:
 
 def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     """Check what takes the camera's own motion to see."""
-    repair, noise = config.data.repair, config.noise
+    repair = config.data.repair
     # The rates of turn tell the clock under almost any reading of the mounting, and the mounting asks for the
     # clock: where that has to move, the mounting is read again.
     mount, reading, series = mounting.check_mounting(cut, repair)
@@ -72,8 +146,7 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     pairs = continuations(agreed)
     fits = rigid_fits(agreed, pairs)
     if len(fits) < _FEWEST_FRAMES:
-        text = f"only {len(fits)} frames have tracks enough to see their motion: nothing more can be told"
-        book.enter(Finding("motion", "unclear", text))
+        _motion_unseen(cut, config, len(fits), book)
         return
     clock = book.enter(*motion.check_clock(agreed, motion.vision_steps(agreed, fits), repair))
     if clock.verdict == "fault":
@@ -81,24 +154,69 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
         mount, reading, series = mounting.check_mounting(cut, repair)
     book.enter(mount, series)
     timed = replace(agreed, rig=mounting.mounted(cut, reading).rig, clock_offset=cut.clock_offset)
-    steps = motion.vision_steps(timed, fits)
-    third = book.enter(motion.check_third_component(timed, steps, repair))
-    if (repair.levelled_velocity is None) == (third.verdict == "fault"):
+    arm, reading = check_lever_arm(cut, timed, fits, reading)
+    book.enter(arm)
+    timed = replace(timed, rig=mounting.mounted(cut, reading).rig)
+    third = book.enter(motion.check_third_component(timed, motion.vision_steps(timed, fits), repair))
+    if _levelled(third, repair):
         timed = LevelledVelocity().apply(timed)
-    book.enter(motion.check_biases(timed, steps, bias_sigma=noise.bias_sigma))
     told, series = stereo.check_stereo(timed, repair)
     for finding in told:
         book.enter(finding, series)
-    book.enter(
-        *pixels.check_pixel_noise(timed, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px)
-    )
+    _check_levels(_mended_stereo(timed, told, repair), fits, config, book)
     book.enter(pixels.check_moving(voted, consensus=repair.consensus is not None))
-    means, _ = timed.step_means()
+
+
+def _levelled(third: Finding, repair: RepairConfig) -> bool:
+    """Whether the third velocity component is to be read as the climb rate."""
+    path = "data.repair.levelled_velocity"
+    return bool({**third.settings, **third.proposal}.get(path, repair.levelled_velocity is not None))
+
+
+def _mended_stereo(sequence: Sequence, told: list[Finding], repair: RepairConfig) -> Sequence:
+    """Sequence with the baseline and the disparities that are proposed."""
+    proposal = {path: value for finding in told for path, value in finding.proposal.items()}
+    baseline, offset = proposal.get("data.repair.baseline"), proposal.get("data.repair.disparity_offset")
+    if baseline is not None:
+        sequence = Baseline(metres=baseline["metres"]).apply(sequence)
+    if offset is not None:
+        # What is configured has been taken out already.
+        applied = 0.0 if repair.disparity_offset is None else repair.disparity_offset.pixels
+        sequence = DisparityOffset(pixels=offset["pixels"] - applied).apply(sequence)
+        sequence = sequence.select(sequence.disparity > 0)
+    return sequence
+
+
+def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config, book: _Book) -> None:
+    """Check biases and noise levels, of the inertial samples and of the tracks."""
+    noise = config.noise
+    if any(finding.check in _STEREO and finding.proposal for finding in book.found):
+        fits = rigid_fits(sequence, continuations(sequence))
+    steps = motion.vision_steps(sequence, fits)
+    book.enter(biases.check_biases(sequence, steps, bias_mean=noise.bias_mean, bias_sigma=noise.bias_sigma))
+    book.enter(motion.check_inertial_noise(sequence, density=noise.twist_density, seen=(sequence, steps)))
+    book.enter(
+        *pixels.check_pixel_noise(
+            sequence, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px
+        )
+    )
+    book.enter(stereo.check_match(sequence, fits, match_px=noise.match_px))
+    means, _ = sequence.step_means()
     book.series |= {
-        "step_time": timed.stamp[steps.frame] - timed.stamp[0],
+        "step_time": sequence.stamp[steps.frame] - sequence.stamp[0],
         "step_inertial": means[steps.frame],
         "step_seen": steps.twist,
     }
+
+
+def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> None:
+    """Say what was not looked at, as the camera shows too little of its motion."""
+    text = f"only {frames} frames have tracks enough to see their motion: nothing more can be told"
+    unknown = dict.fromkeys(_NEEDS_MOTION, f"not looked at: only {frames} frames show the camera's motion")
+    book.enter(Finding("motion", "unclear", text, unknown=unknown))
+    if config.data.repair.levelled_velocity is None:
+        book.enter(motion.third_component_unseen(cut))
+    book.enter(motion.check_inertial_noise(cut, density=config.noise.twist_density))
 
 
 def unrepaired(config: Config) -> Config:

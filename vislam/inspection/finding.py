@@ -57,7 +57,12 @@ class Finding:
     measured : tuple of Measured
     counts : dict
     proposal : dict
-        Values by dotted path of the config.
+        Values by dotted path of the config that answer a fault.
+    settings : dict
+        Values by dotted path that were measured, or that are the safe reading of what could not be told; a
+        written config has them where it says nothing of its own.
+    unknown : dict
+        Dotted paths of what could not be told, each with the reason.
     """
 
     check: str
@@ -66,6 +71,8 @@ class Finding:
     measured: tuple[Measured, ...] = ()
     counts: dict[str, float] = field(default_factory=dict)
     proposal: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    unknown: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,16 @@ class Inspection:
     def proposal(self) -> dict[str, Any]:
         """All proposed values by dotted path of the config."""
         return {path: value for finding in self.findings for path, value in finding.proposal.items()}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All measured values by dotted path of the config."""
+        return {path: value for finding in self.findings for path, value in finding.settings.items()}
+
+    @property
+    def unknown(self) -> dict[str, str]:
+        """Reason by dotted path of what could not be told."""
+        return {path: reason for finding in self.findings for path, reason in finding.unknown.items()}
 
 
 def jackknife(left_out: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3
-from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean, robust_sigma
+from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
 from vislam.repair import RepairConfig
 from vislam.types import Array, IntArray
 from vislam.vision import RigidFit
@@ -22,6 +22,9 @@ _RELIABLE = 0.3
 """Share of the variance of a sample that must be motion, not noise, to say what the sample means."""
 _FOURTH_DIFFERENCE = np.sqrt(70.0)
 """Standard deviation of a fourth difference of white noise of variance 1."""
+_FEWEST_CHANGES = 20
+_ALONG = 0.3
+"""A third velocity component above this share of the speed is not that of a vehicle on the ground."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def check_clock(
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
         text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
-        return Finding("clock", "unclear", text, (measured,)), series
+        return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
     off = abs(whole - now)
     if off > _CLOCK_FAULT_S and off > 4.0 * error:
         text = f"the inertial stamps are late by {measured}, configured is {now:g} s"
@@ -113,49 +116,64 @@ def _lowest(curve: Array) -> float:
     return float(_LAGS_S[at] + np.clip(shift, -0.03, 0.03))
 
 
-def check_biases(sequence: Sequence, steps: VisionSteps, *, bias_sigma: tuple[float, ...]) -> Finding:
-    """Bias of the gyro and of the velocity across the direction of travel."""
-    means, _ = sequence.step_means()
-    difference = means[steps.frame] - steps.twist
-    gyro = [robust_mean(difference[:, i], name=f"gyro bias {_AXES[i]}", unit="rad/s") for i in range(3)]
-    velocity = [
-        robust_mean(difference[:, 3 + i], name=f"velocity bias {_AXES[i]}", unit="m/s") for i in range(3)
-    ]
-    measured = (*gyro, *velocity)
-    text = "; ".join(str(item) for item in measured)
-    beyond = [
-        item.name
-        for item, prior in zip(gyro, bias_sigma, strict=False)
-        if abs(item.value) - 1.96 * item.sigma > 2.0 * prior
-    ]
-    if beyond:
-        wanted = [
-            float(np.round(max(prior, 1.5 * abs(item.value)), 5))
-            for item, prior in zip(gyro, bias_sigma, strict=False)
-        ]
-        text = f"{', '.join(beyond)} beyond twice the configured prior: {text}"
-        proposal = {"noise.bias_sigma": [*wanted, *bias_sigma[3:]]}
-        return Finding("biases", "fault", text, measured, proposal=proposal)
-    return Finding("biases", "ok", f"within the configured prior: {text}", measured)
+def check_inertial_noise(
+    sequence: Sequence, *, density: tuple[float, ...], seen: tuple[Sequence, VisionSteps] | None = None
+) -> Finding:
+    """White noise of the inertial samples at most: their fourth differences, free of a smooth drive.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        Velocities as recorded.
+    density : (6,)
+        As configured.
+    seen : (Sequence, VisionSteps), optional
+        Velocities as they are to be used, and the camera's. Across the direction of travel it is not the
+        noise of the samples that counts but how far a body is from what they say: side slip, and heave where
+        the vertical velocity is taken to be 0.
+    """
+    measured = _sample_densities(sequence)
+    known = [i for i in range(6) if measured[i].value > 0.0]
+    if not known:
+        text = "too few samples, or samples that do not change"
+        unknown = {"noise.twist_density": f"{text}; as configured"}
+        return Finding("inertial noise", "unclear", text, unknown=unknown)
+    text = "at most " + "; ".join(str(measured[i]) for i in known)
+    values = [measured[i].value if i in known else density[i] for i in range(6)]
+    if seen is not None:
+        across = _across(*seen)
+        text = f"{text}; against the camera {across[0]:.3g} and {across[1]:.3g} m/sqrt(s) across the travel"
+        used = _sample_densities(seen[0])
+        values[4:] = [float(np.fmax(used[4 + i].value, across[i])) for i in range(2)]
+    rounded = [float(f"{value:.2g}") for value in values]
+    off = [i for i in known if i < 4 and not density[i] / 5.0 <= measured[i].value <= density[i] * 5.0]
+    if off:
+        listed = ", ".join(f"{measured[i].name} is configured as {density[i]:g}" for i in off)
+        proposal = {"noise.twist_density": rounded}
+        return Finding("inertial noise", "fault", f"{listed}, but {text}", measured, proposal=proposal)
+    return Finding("inertial noise", "ok", text, measured, settings={"noise.twist_density": rounded})
 
 
-def check_inertial_noise(sequence: Sequence, *, density: tuple[float, ...]) -> Finding:
-    """White noise of the inertial samples at most: their fourth differences, free of a smooth drive."""
+def _sample_densities(sequence: Sequence) -> tuple[Measured, ...]:
     period = float(np.median(np.diff(sequence.inertial_stamp)))
     fourth = np.diff(sequence.twist, n=4, axis=0) / _FOURTH_DIFFERENCE * np.sqrt(period)
     names = [f"gyro density {a}" for a in _AXES] + [f"velocity density {a}" for a in _AXES]
     units = ["rad/sqrt(s)"] * 3 + ["m/sqrt(s)"] * 3
-    measured = tuple(robust_sigma(fourth[:, i], name=names[i], unit=units[i]) for i in range(6))
-    known = [i for i in range(6) if measured[i].value > 0.0]
-    text = "at most " + "; ".join(str(measured[i]) for i in known)
-    wrong = [i for i in known if density[i] > 5.0 * measured[i].value and i in (0, 1, 2, 3)]
-    low = [i for i in known if density[i] < measured[i].value / 5.0 and i in (0, 1, 2, 3)]
-    if wrong or low:
-        listed = ", ".join(f"{names[i]} is configured as {density[i]:g}" for i in (*wrong, *low))
-        values = [float(f"{measured[i].value:.2g}") if i in (*wrong, *low) else density[i] for i in range(6)]
-        proposal = {"noise.twist_density": values}
-        return Finding("inertial noise", "fault", f"{listed}, but {text}", measured, proposal=proposal)
-    return Finding("inertial noise", "ok", text, measured)
+    return tuple(robust_sigma(fourth[:, i], name=names[i], unit=units[i]) for i in range(6))
+
+
+def _across(sequence: Sequence, steps: VisionSteps) -> Array:
+    """White part of what the camera sees beside the recorded lateral and vertical velocity, as densities.
+
+    The camera's own noise is in it.
+    """
+    means, _ = sequence.step_means()
+    difference = (means[steps.frame] - steps.twist)[:, 4:]
+    change = np.diff(difference, axis=0)[np.diff(steps.frame) == 1]
+    if len(change) < _FEWEST_CHANGES:
+        return np.full(2, np.nan)
+    sigma = 1.4826 * np.median(np.abs(change - np.median(change, axis=0)), axis=0) / np.sqrt(2.0)
+    return np.asarray(sigma * np.sqrt(np.median(np.diff(sequence.stamp))))
 
 
 def check_third_component(sequence: Sequence, steps: VisionSteps, repair: RepairConfig) -> Finding:
@@ -179,7 +197,7 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
     levelled = repair.levelled_velocity is not None
     if reliable < _RELIABLE or slope.sigma > 0.2:
         text = f"cannot tell body from levelled velocity: {100 * (1 - reliable):.0f} % of it is noise, {told}"
-        return Finding("third velocity component", "unclear", text, (slope,), counts)
+        return _third_unclear(sequence, text, (slope,), counts)
     if slope.value < 0.5:
         text = f"{told}: it is the climb rate, its integral gives {climbed:+.1f} m of height"
         if levelled:
@@ -191,6 +209,27 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
         return Finding("third velocity component", "ok", text, (slope,), counts)
     proposal = {"data.repair.levelled_velocity": False}
     return Finding("third velocity component", "fault", text, (slope,), counts, proposal)
+
+
+def third_component_unseen(sequence: Sequence) -> Finding:
+    """Finding where the camera shows too little of its motion."""
+    return _third_unclear(sequence, "not looked at: too few steps show the camera's motion", (), {})
+
+
+def _third_unclear(
+    sequence: Sequence, text: str, measured: tuple[Measured, ...], counts: dict[str, float]
+) -> Finding:
+    """Take the safe reading: a vehicle on the ground hardly moves along its own z, whatever is recorded."""
+    path, check = "data.repair.levelled_velocity", "third velocity component"
+    velocity = sequence.twist[:, 3:]
+    third = float(np.sqrt(np.mean(velocity[:, 2] ** 2)))
+    speed = float(np.sqrt(np.mean(np.sum(velocity**2, axis=1))))
+    if third > _ALONG * speed:
+        share = f"{third:.2g} of {speed:.2g} m/s"
+        reason = f"{text}; it is {share}, too much for a vehicle on the ground: as configured"
+        return Finding(check, "unclear", reason, measured, counts, unknown={path: reason})
+    reason = f"{text}; read as the climb rate, which is safe on the ground"
+    return Finding(check, "unclear", reason, measured, counts, settings={path: True}, unknown={path: reason})
 
 
 def _slope(recorded: Array, seen: Array, *, forward: Array, reliable: float) -> Measured:

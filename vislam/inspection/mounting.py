@@ -6,22 +6,29 @@ from itertools import permutations, product
 import numpy as np
 
 from vislam.data.sequence import Sequence
-from vislam.geometry import se3
-from vislam.inspection.finding import Finding
+from vislam.geometry import se3, so3
+from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.mounting import Axes, Extrinsic, Reading, axes_rotation
 from vislam.types import Array
 from vislam.vision import continuations, inertial_steps
 
+_CHECK = "axes and extrinsic"
 _PAIRS = 12_000
 _BLOCK = 10
 _CLEARLY = 3.5
 """Standard deviations by which a reading must do better to be believed in place of a simpler one."""
-_NEAREST = 1.0
 _SMALLEST_DISPARITY = 3.0
 _WORST_PX = 50.0
 _FEWEST = 4
 """Fewest pairs that make a frame's median."""
+_MARGIN = 1.1
+"""A reading that leaves less than this many times the error of another is not told from it."""
+_SAME_DEG = 0.05
+_NEAR_DEG = 3.0
+"""The velocity may point beside the body's axis by a degree: readings that differ less are not told apart."""
+_NOTHING_FITS_PX = 10.0
+_SMALLEST_FLOW_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -78,8 +85,39 @@ def mounted(sequence: Sequence, candidate: Candidate) -> Sequence:
     return Axes(body=candidate.axes).apply(read)
 
 
+@dataclass(frozen=True)
+class Ranking:
+    """How all readings do.
+
+    Attributes
+    ----------
+    everyone : list of Candidate
+    errors : (n, f)
+        One-frame reprojection error of each reading in each frame that tells [px].
+    flow_px : float
+        What a camera that stands still would leave, median of the same frames.
+    turns : (n, 3, 3)
+        Rotation of the camera in the body by each reading.
+    """
+
+    everyone: list[Candidate]
+    errors: Array
+    flow_px: float
+    turns: Array
+
+    @property
+    def score(self) -> Array:
+        """Median error of each reading [px]."""
+        return np.median(self.errors, axis=1)
+
+    def apart_deg(self, one: Candidate, other: Candidate) -> float:
+        """Angle between the rotations of two readings [deg]."""
+        first, second = (self.turns[self.everyone.index(item)] for item in (one, other))
+        return float(np.degrees(np.linalg.norm(so3.log(first.T @ second))))
+
+
 def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, Candidate, dict[str, Array]]:
-    """Rank all readings by their one-frame reprojection error.
+    """Rank all readings of axes and rotation by their one-frame reprojection error.
 
     Parameters
     ----------
@@ -96,56 +134,121 @@ def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, C
     dict
         Series for the figures.
     """
-    everyone = candidates()
     own = configured(repair)
+    ranking = _rank(sequence)
+    if ranking.errors.shape[1] < 2 * _BLOCK:
+        text = f"only {ranking.errors.shape[1]} frames have tracks enough to tell"
+        return Finding(_CHECK, "unclear", text, unknown=_unknown(text)), own, {}
+    series = {"mounting_score": np.sort(ranking.score)}
+    none = _nothing_fits(ranking)
+    if none is not None:
+        return none, own, series
+    rivals = _rivals(ranking, own)
+    best = own if own in rivals else _simplest(ranking, rivals)
+    return _ranked(ranking, rivals, best, own), best, series
+
+
+def _rank(sequence: Sequence) -> Ranking:
+    everyone = candidates()
     sample = _Sample(sequence)
     errors = np.array([sample.frame_errors(candidate) for candidate in everyone])
-    errors = errors[:, np.all(np.isfinite(errors), axis=0)]
-    if errors.shape[1] < 2 * _BLOCK:
-        text = f"only {errors.shape[1]} frames have tracks enough to tell"
-        return Finding("axes and extrinsic", "unclear", text), own, {"mounting_score": np.empty(0)}
-    score = np.median(errors, axis=1)
-    ranking = np.argsort(score, kind="stable")
-    best = _simplest_of_the_best(everyone, errors, own)
-    rank = [f"{everyone[index]}: {score[index]:.2f} px" for index in ranking[:5]]
-    series = {"mounting_score": score[ranking]}
-    at_best, at_own = everyone.index(best), everyone.index(own)
-    others = [index for index in ranking if everyone[index].axes != best.axes]
-    margin = float(score[others[0]] / score[at_best])
-    counts = {"best_px": float(score[at_best]), "configured_px": float(score[at_own]), "margin": margin}
-    if best == own:
+    flow = sample.flow()
+    known = np.all(np.isfinite(errors), axis=0)
+    return Ranking(
+        everyone,
+        errors[:, known],
+        float(np.median(flow[known])) if known.any() else float("nan"),
+        np.array([mounted(sequence, candidate).rig.imu_T_cam[:3, :3] for candidate in everyone]),
+    )
+
+
+def _nothing_fits(ranking: Ranking) -> Finding | None:
+    """Finding where no reading predicts the tracks better than a camera at rest, or where it is at rest."""
+    least, flow = float(ranking.score.min()), ranking.flow_px
+    counts = {"best_px": least, "flow_px": flow}
+    if least > _NOTHING_FITS_PX and (least > flow or least > 0.9 * _WORST_PX):
         text = (
-            f"as configured, {best}: {score[at_best]:.2f} px; the next axes leave {margin:.2f} times that. "
-            f"First of {len(everyone)}: {'; '.join(rank[:3])}"
+            f"no reading of axes and extrinsic predicts the tracks: the best of {len(ranking.everyone)} "
+            f"leaves {least:.2f} px, the tracks move by {flow:.2f} px: velocities, stamps, baseline or "
+            "K are wrong"
         )
-        return Finding("axes and extrinsic", "ok", text, counts=counts), own, series
+        unknown = _unknown("no reading predicts the tracks")
+        return Finding(_CHECK, "fault", text, counts=counts, unknown=unknown)
+    if flow < _SMALLEST_FLOW_PX:
+        text = f"the tracks move by {flow:.2f} px from frame to frame, too little to tell the mounting"
+        return Finding(_CHECK, "unclear", text, counts=counts, unknown=_unknown(text))
+    return None
+
+
+def _unknown(reason: str) -> dict[str, str]:
+    return dict.fromkeys(("data.repair.axes", "data.repair.extrinsic"), f"{reason}; read as configured")
+
+
+def _rivals(ranking: Ranking, own: Candidate) -> list[Candidate]:
+    """Readings that are not told from the one with the least error.
+
+    A reading whose rotation is within a few degrees of that is among them, and so is the configured one.
+    """
+    logarithm = np.log(np.maximum(ranking.errors, 0.05))
+    at = int(np.argmin(logarithm.mean(axis=1)))
+    leader, score = ranking.everyone[at], ranking.score
+    return [
+        candidate
+        for index, candidate in enumerate(ranking.everyone)
+        if score[index] < _MARGIN * score[at]
+        or not _clearly_better(logarithm[at], logarithm[index])
+        or (candidate == own and ranking.apart_deg(candidate, leader) < _NEAR_DEG)
+    ]
+
+
+def _simplest(ranking: Ranking, rivals: list[Candidate]) -> Candidate:
+    """Reading of the fewest repairs, and of these the one of the least error."""
+    return min(rivals, key=lambda item: (item.steps, ranking.score[ranking.everyone.index(item)]))
+
+
+def _ranked(ranking: Ranking, rivals: list[Candidate], best: Candidate, own: Candidate) -> Finding:
+    """Finding on the reading that was chosen."""
+    score = dict(zip(ranking.everyone, ranking.score.tolist(), strict=True))
+    order = sorted(ranking.everyone, key=score.__getitem__)
+    rank = f"First of {len(order)}: " + "; ".join(f"{item}: {score[item]:.2f} px" for item in order[:5])
+    others = [item for item in order if ranking.apart_deg(item, best) > _SAME_DEG]
+    margin = score[others[0]] / max(score[best], 1e-9)
+    counts = {
+        "best_px": score[best],
+        "configured_px": score[own],
+        "margin": margin,
+        "flow_px": ranking.flow_px,
+    }
+    equal = [item for item in others if item in rivals]
+    doubt, unknown = "", {}
+    if equal:
+        apart = ranking.apart_deg(equal[0], best)
+        more = f" and {len(equal) - 1} more" if len(equal) > 1 else ""
+        doubt = f", not told from {equal[0]} ({score[equal[0]]:.2f} px, rotation {apart:.1f} deg apart){more}"
+        unknown = _unknown(f"{best} ({score[best]:.2f} px){doubt}")
+    if best == own:
+        verdict: Verdict = "unclear" if equal else "ok"
+        text = (
+            f"as configured, {best}: {score[best]:.2f} px{doubt}; the next rotation leaves {margin:.2f} "
+            f"times that. {rank}"
+        )
+        return Finding(_CHECK, verdict, text, counts=counts, unknown=unknown)
     proposal: dict[str, object] = {
         "data.repair.axes": None if best.axes == ("x", "y", "z") else {"body": list(best.axes)},
-        "data.repair.extrinsic": None
-        if (best.rotation, best.translation) == ("stored", "stored")
-        else {"rotation": best.rotation, "translation": best.translation},
+        "data.repair.extrinsic": extrinsic_setting(best),
     }
     text = (
-        f"configured {own} leaves {score[at_own]:.2f} px, {best} {score[at_best]:.2f} px: the extrinsic does "
-        f"not fit the velocities as configured. First of {len(everyone)}: {'; '.join(rank)}"
+        f"configured {own} leaves {score[own]:.2f} px, {best} {score[best]:.2f} px{doubt}: the extrinsic "
+        f"does not fit the velocities as configured. {rank}"
     )
-    return Finding("axes and extrinsic", "fault", text, counts=counts, proposal=proposal), best, series
+    return Finding(_CHECK, "fault", text, counts=counts, proposal=proposal, unknown=unknown)
 
 
-def _simplest_of_the_best(everyone: list[Candidate], errors: Array, own: Candidate) -> Candidate:
-    """Configured reading, or the simplest of those that no other clearly beats."""
-    logarithm = np.log(np.maximum(errors, 0.05))
-    leader = int(np.argmin(logarithm.mean(axis=1)))
-    rivals = [
-        candidate
-        for candidate, mine in zip(everyone, logarithm, strict=True)
-        if not _clearly_better(logarithm[leader], mine)
-    ]
-    if own in rivals:
-        return own
-    fewest = min(candidate.steps for candidate in rivals)
-    simple = [candidate for candidate in rivals if candidate.steps == fewest]
-    return min(simple, key=lambda candidate: float(logarithm[everyone.index(candidate)].mean()))
+def extrinsic_setting(reading: Candidate) -> dict[str, str] | None:
+    """Value of ``data.repair.extrinsic`` for a reading."""
+    if (reading.rotation, reading.translation) == ("stored", "stored"):
+        return None
+    return {"rotation": reading.rotation, "translation": reading.translation}
 
 
 def _clearly_better(one: Array, other: Array) -> bool:
@@ -167,7 +270,10 @@ class _Sample:
         before, after = pairs.before[chosen], pairs.after[chosen]
         self._sequence = sequence
         self._points = sequence.rig.back_project(z[before])
+        self._flow = np.linalg.norm(z[after] - z[before], axis=1)
         self._z = z[after]
+        # Nearer, the disparity would be wider than the image.
+        self._nearest = sequence.rig.fx * sequence.rig.baseline / (2.0 * sequence.rig.cx)
         # Pairs come frame after frame, so the medians of frames are those of slices.
         self._frame = sequence.frame_of[after]
         self._edges = np.searchsorted(self._frame, np.arange(len(sequence) + 1))
@@ -178,11 +284,18 @@ class _Sample:
         rig = mounted(self._sequence, candidate).rig
         step = rig.cam_T_imu @ self._next_T_prev @ rig.imu_T_cam
         moved = se3.transform(step[self._frame], self._points[:, None])[:, 0]
-        behind = moved[:, 2] < _NEAREST
-        moved[:, 2] = np.maximum(moved[:, 2], _NEAREST)
+        behind = moved[:, 2] < self._nearest
+        moved[:, 2] = np.maximum(moved[:, 2], self._nearest)
         error = np.linalg.norm(rig.project(moved) - self._z, axis=1)
         error[behind] = _WORST_PX
+        return self._medians(error)
+
+    def flow(self) -> Array:
+        """Median length ``(T,)`` [px] by which the tracks move into each frame; NaN without tracks."""
+        return self._medians(self._flow)
+
+    def _medians(self, values: Array) -> Array:
         out = np.full(len(self._sequence), np.nan)
         for k in np.flatnonzero(np.diff(self._edges) >= _FEWEST):
-            out[k] = np.median(error[self._edges[k] : self._edges[k + 1]])
+            out[k] = np.median(values[self._edges[k] : self._edges[k + 1]])
         return out

@@ -14,7 +14,7 @@ from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
-from vislam.types import Array
+from vislam.types import Array, IntArray
 from vislam.vision import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
 
 _SHORTEST_M = 0.2
@@ -26,6 +26,12 @@ _FEWEST = 40
 _BLOCKS = 12
 _OUTLIER = 6.0
 _SCALE_FAULT = 0.006
+_SCALE_UNIT = 1.5
+"""A scale that is off by more than this factor is no error of the calibration."""
+_MATCH_LAGS, _MATCH_DISPARITY_PX, _MATCH_FEWEST = (2, 3), 10.0, 200
+"""Steps of a track that share no observation, and tracks near enough for the error to be small."""
+_SHORTEST_SEEN = 0.05
+"""A seen step must be so long, in baselines, to tell a depth."""
 _OFFSET_FAULT_PX = 0.1
 _TRIALS, _RESTS_PX, _LARGEST_MOVE_PX = 3, 0.05, 1.0
 _SMALLEST_DISPARITY_PX = 0.5
@@ -39,30 +45,42 @@ class Ways:
 
     Attributes
     ----------
-    frame : (m,)
+    frame, row : (m,)
+        Where the step ends, and the observation at which it starts.
     disparity : (m,)
         Measured at the start of the step [px].
     ratio : (m,)
-        Way by the track over the way by the inertial data.
+        Way by the track over that of the step.
     """
 
-    frame: Array
+    frame: IntArray
+    row: IntArray
     disparity: Array
     ratio: Array
 
 
-def ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) -> Ways:
-    """Ratios of all tracks whose flow tells one: turn and direction are those of the robust fit."""
-    z, rig = sequence.z, sequence.rig
-    points = rig.back_project(z)
+def inertial_ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) -> Ways:
+    """Ratios of all tracks whose flow tells one to the inertial way."""
     predicted = predicted_steps(sequence)
-    found = []
+    steps = {}
     for k, fit in fits.items():
         direction = fit.next_T_prev[:3, 3] / max(float(np.linalg.norm(fit.next_T_prev[:3, 3])), 1e-9)
         # Only what of the inertial step lies along the seen one: noise across it would lengthen it.
         step = float(predicted[k][:3, 3] @ direction) * direction
-        if np.linalg.norm(step) < _SHORTEST_M:
-            continue
+        if np.linalg.norm(step) >= _SHORTEST_M:
+            steps[k] = step
+    return _ways(sequence, pairs, fits, steps)
+
+
+def _ways(
+    sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit], steps: dict[int, Array]
+) -> Ways:
+    """Ratios to the given steps ``(3,)`` of the camera; turn and direction are those of the robust fit."""
+    z, rig = sequence.z, sequence.rig
+    points = rig.back_project(z)
+    rows, table = [np.empty((0, 2), np.int64)], [np.empty((0, 2))]
+    for k, step in steps.items():
+        fit = fits[k]
         good = np.linalg.norm(fit.residual, axis=1) < _OUTLIER
         before = pairs.before[pairs.start[k] : pairs.start[k + 1]][good]
         after = pairs.after[pairs.start[k] : pairs.start[k + 1]][good]
@@ -76,9 +94,10 @@ def ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) ->
             square = np.maximum((flow**2).sum(axis=1), 1e-9)
             ratio = ratio + np.clip((flow * residual).sum(axis=1) / square, -0.5, 0.5)
         tells = np.sqrt(square) > _SMALLEST_FLOW_PX
-        found.append(np.column_stack([np.full(len(before), k), z[before, 0] - z[before, 1], ratio])[tells])
-    table = np.concatenate(found) if found else np.empty((0, 3))
-    return Ways(table[:, 0], table[:, 1], table[:, 2])
+        rows.append(np.column_stack([np.full(len(before), k), before])[tells])
+        table.append(np.column_stack([z[before, 0] - z[before, 1], ratio])[tells])
+    row, value = np.concatenate(rows), np.concatenate(table)
+    return Ways(row[:, 0], row[:, 1], value[:, 0], value[:, 1])
 
 
 def check_stereo(sequence: Sequence, repair: RepairConfig) -> tuple[list[Finding], dict[str, Array]]:
@@ -90,7 +109,11 @@ def check_stereo(sequence: Sequence, repair: RepairConfig) -> tuple[list[Finding
     first = _told(sequence, 0.0)
     if first is None:
         text = "too few tracks with flow and depth to tell scale and offset"
-        return [Finding("stereo scale", "unclear", text), Finding("disparity offset", "unclear", text)], {}
+        checks = {"stereo scale": "baseline", "disparity offset": "disparity_offset"}
+        return [
+            Finding(check, "unclear", text, unknown={f"data.repair.{step}": text})
+            for check, step in checks.items()
+        ], {}
     told, offset, gain = first, 0.0, 0.5
     for _ in range(_TRIALS):
         if abs(told.left[1]) < _RESTS_PX:
@@ -132,7 +155,7 @@ def _told(sequence: Sequence, offset: float) -> _Told | None:
     moved = DisparityOffset(pixels=offset).apply(sequence)
     moved = moved.select(moved.disparity > _SMALLEST_DISPARITY_PX)
     pairs = continuations(moved)
-    seen = ways(moved, pairs, rigid_fits(moved, pairs))
+    seen = inertial_ways(moved, pairs, rigid_fits(moved, pairs))
     whole, centres, medians = _fit(seen.disparity, seen.ratio)
     if whole is None:
         return None
@@ -145,14 +168,21 @@ def _told(sequence: Sequence, offset: float) -> _Told | None:
 
 def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
     baseline = sequence.rig.baseline
+    if not 1.0 / _SCALE_UNIT < scale.value < _SCALE_UNIT or scale.low <= 0.0:
+        text = f"{scale} for near tracks: no calibration error, see units; no baseline is proposed"
+        return Finding("stereo scale", "fault", text, (scale,), unknown={"data.repair.baseline": text})
     fitting = Measured("baseline", "m", baseline / scale.value, baseline / scale.high, baseline / scale.low)
     text = f"{scale} for near tracks; they would agree with {fitting}, the rig has {baseline:.5f} m"
     off = abs(scale.value - 1.0)
-    if off > _SCALE_FAULT and off > 3.0 * scale.sigma:
-        text = f"the camera's way is {100 * (scale.value - 1):+.1f} % off: {text}; look up the calibration"
-        proposal = {"data.repair.baseline": {"metres": float(f"{fitting.value:.4g}")}}
-        return Finding("stereo scale", "fault", text, (scale, fitting), proposal=proposal)
-    return Finding("stereo scale", "ok", text, (scale, fitting))
+    if off <= _SCALE_FAULT or off <= 3.0 * scale.sigma:
+        return Finding("stereo scale", "ok", text, (scale, fitting))
+    text = f"the camera's way is {100 * (scale.value - 1):+.1f} % off: {text}; look up the calibration"
+    if off <= 4.0 * scale.sigma:
+        return Finding(
+            "stereo scale", "unclear", text, (scale, fitting), unknown={"data.repair.baseline": text}
+        )
+    proposal = {"data.repair.baseline": {"metres": float(f"{fitting.value:.4g}")}}
+    return Finding("stereo scale", "fault", text, (scale, fitting), proposal=proposal)
 
 
 def _offset_finding(offset: Measured, repair: RepairConfig) -> Finding:
@@ -185,3 +215,62 @@ def _fit(disparity: Array, ratio: Array) -> tuple[Array | None, Array, Array]:
     columns = np.column_stack([np.ones(len(table)), -1.0 / table[:, 0]])
     solution = np.linalg.lstsq(columns * weight[:, None], table[:, 1] * weight, rcond=None)[0]
     return np.array([solution[0], solution[1] / solution[0]]), table[:, 0], table[:, 1]
+
+
+def check_match(sequence: Sequence, fits: dict[int, RigidFit], *, match_px: float) -> Finding:
+    """Stereo-matching bias: what of a track's depth error stays with it.
+
+    By its disparity and flow, every track says how far the camera went. Ratios to the seen step in steps that
+    share no observation have in common the bias e of the track's first disparity d alone: their covariance is
+    that of e. Inertial data do not enter.
+    """
+    pairs = continuations(sequence)
+    shortest = _SHORTEST_SEEN * sequence.rig.baseline
+    steps = {k: fit.next_T_prev[:3, 3] for k, fit in fits.items()}
+    steps = {k: step for k, step in steps.items() if np.linalg.norm(step) > shortest}
+    seen = _ways(sequence, pairs, fits, steps)
+    first = sequence.disparity[sequence.first_rows()][seen.row]
+    near = first >= _MATCH_DISPARITY_PX
+    track, frame = sequence.track[seen.row][near], seen.frame[near]
+    error = (seen.ratio[near] - 1.0) * first[near]
+    one, other = _lagged(track, frame, error, len(sequence))
+    if len(one) < _MATCH_FEWEST:
+        text = f"{len(one)} pairs of steps of near tracks, too few to tell the stereo-matching bias"
+        unknown = {"noise.match_px": f"{text}; {match_px:g} px as configured"}
+        return Finding("stereo match", "unclear", text, unknown=unknown)
+    parts = [part for part in np.array_split(np.arange(len(one)), _BLOCKS) if len(part)]
+    whole = _common(one, other)
+    left_out = [_common(np.delete(one, part), np.delete(other, part)) for part in parts]
+    sigma = float(np.hypot(jackknife(np.array(left_out)), 0.05 * whole))
+    measured = Measured.around("stereo-matching bias", "px", whole, sigma=sigma)
+    text = f"{measured} at the first disparity of a track; configured {match_px:g} px"
+    if measured.low <= 0.0:
+        unknown = {"noise.match_px": f"{text}: not told from none, as configured"}
+        return Finding("stereo match", "unclear", text, (measured,), unknown=unknown)
+    settings = {"noise.match_px": round(whole, 3)}
+    return Finding("stereo match", "note", text, (measured,), settings=settings)
+
+
+def _lagged(track: IntArray, frame: IntArray, error: Array, frames: int) -> tuple[Array, Array]:
+    """Errors of one track in two steps that share no observation, ``(m,)`` each, in the order of time."""
+    key = track * (2 * frames) + frame
+    order = np.argsort(key)
+    key, value = key[order], error[order]
+    ones, others, times = [], [], []
+    for lag in _MATCH_LAGS:
+        at = np.searchsorted(key, key + lag)
+        there = np.flatnonzero(at < len(key))
+        there = there[key[at[there]] == key[there] + lag]
+        ones.append(value[there])
+        others.append(value[at[there]])
+        times.append(frame[order][there])
+    by_time = np.argsort(np.concatenate(times), kind="stable")
+    return np.concatenate(ones)[by_time], np.concatenate(others)[by_time]
+
+
+def _common(one: Array, other: Array) -> float:
+    """Standard deviation of what two series have in common, by robust variances of sum and difference."""
+    total, difference = (
+        1.4826 * float(np.median(np.abs(item - np.median(item)))) for item in (one + other, one - other)
+    )
+    return 0.5 * float(np.sqrt(max(total**2 - difference**2, 0.0)))

@@ -1,18 +1,23 @@
-"""Tracks and stamps: stale frames, repeats, gaps, and what cannot be a stereo observation."""
+"""Tracks and stamps: stale frames, repeats, gaps, and whether there are tracks enough."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from vislam.data.plausibility import implausible
 from vislam.data.sequence import Sequence
-from vislam.inspection.finding import Finding
+from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.tracks import stale_observations
 from vislam.types import Array
+from vislam.vision import FEWEST, continuations
 
 _FEW = 10
 """A frame with fewer tracks says little about its motion."""
 _GAP = 1.5
 """A step this many times the usual one misses a frame."""
-_ROWS_DIFFER_PX = 2.0
+_MOST = 0.5
+_LEAST = 3
 _LISTED = 12
 
 
@@ -39,8 +44,24 @@ def check_stale(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, dict
     return Finding("stale tracks", "fault", text, counts=counts, proposal=proposal), series
 
 
-def check_stamps(sequence: Sequence) -> Finding:
-    """Steps of the camera and inertial stamps; the reader has refused what does not increase."""
+def check_stamps(recorded: Sequence, *, in_seconds: Sequence) -> Finding:
+    """Steps of the camera and inertial stamps; the reader has refused what does not increase.
+
+    Parameters
+    ----------
+    recorded : Sequence
+    in_seconds : Sequence
+        The same with stamps that are believed; it differs where those of the recording are in another unit.
+    """
+    finding = _steps(in_seconds)
+    wrong = [item for item in implausible(recorded) if item.stamp_scale != 1.0]
+    if not wrong:
+        return finding
+    unknown = {"data.file": f"compare refuses this recording until its stamps are mended: {wrong[0]}"}
+    return replace(finding, verdict="fault", text=f"{wrong[0]}; in seconds: {finding.text}", unknown=unknown)
+
+
+def _steps(sequence: Sequence) -> Finding:
     step = np.diff(sequence.stamp)
     usual = float(np.median(step))
     gaps = np.flatnonzero(step > _GAP * usual)
@@ -65,51 +86,23 @@ def check_stamps(sequence: Sequence) -> Finding:
     return Finding("stamps", "note", text, counts=counts)
 
 
-def check_observations(sequence: Sequence, repair: RepairConfig) -> Finding:
-    """Disparities, rows and columns that cannot be, as the file has them."""
-    pixels = sequence.pixels
-    total = max(len(pixels), 1)
-    disparity = sequence.disparity
-    rows = np.abs(pixels[:, 1] - pixels[:, 3])
-    width, height = 2.0 * sequence.rig.cx, 2.0 * sequence.rig.cy
-    outside = (pixels[:, [0, 2]] < 0).any(axis=1) | (pixels[:, [0, 2]] > 1.2 * width).any(axis=1)
-    outside |= (pixels[:, [1, 3]] < 0).any(axis=1) | (pixels[:, [1, 3]] > 1.6 * height).any(axis=1)
-    counts = {
-        "disparity_not_positive": int(np.sum(disparity <= 0)),
-        "lowest_disparity_px": float(disparity.min(initial=0.0)),
-        "rows_differ": int(np.sum(rows > _ROWS_DIFFER_PX)),
-        "row_difference_median_px": float(np.median(rows)) if len(rows) else 0.0,
-        "outside_image": int(outside.sum()),
-    }
-    text = (
-        f"{counts['disparity_not_positive']} of {len(pixels)} observations have a disparity of zero or less "
-        f"(lowest {counts['lowest_disparity_px']:.1f} px), {counts['rows_differ']} rows differ by more than "
-        f"{_ROWS_DIFFER_PX:g} px, {counts['outside_image']} lie outside an image of twice the principal point"
-    )
-    bad = counts["disparity_not_positive"] + counts["rows_differ"]
-    if bad == 0:
-        return Finding("observations", "ok", text, counts=counts)
-    if repair.disparity is not None:
-        share = 100.0 * bad / total
-        text = f"{text}; the configured disparity step drops them ({share:.1f} %)"
-        return Finding("observations", "ok", text, counts=counts)
-    return Finding("observations", "fault", text, counts=counts, proposal={"data.repair.disparity": True})
-
-
 def check_track_counts(sequence: Sequence) -> tuple[Finding, dict[str, Array]]:
-    """Tracks in view and how long they live, stale tracks cut."""
+    """Tracks in view and how long they live, stale tracks cut; whether they are enough to see the motion."""
     in_view = np.diff(sequence.offset)
     length = np.bincount(sequence.track)
     length = length[length > 0]
+    continuing = np.diff(continuations(sequence).start)[1:]
+    seeing = int(np.sum(continuing >= FEWEST))
     few = np.flatnonzero(in_view < _FEW)
     counts = {
         "tracks": len(length),
         "in_view_median": float(np.median(in_view)),
-        "in_view_least": int(in_view.min(initial=0)),
+        "in_view_least": int(in_view.min()),
         "length_median": float(np.median(length)) if len(length) else 0.0,
         "length_p90": float(np.quantile(length, 0.9)) if len(length) else 0.0,
         "seen_once": int(np.sum(length == 1)),
         "frames_with_few": len(few),
+        "frames_that_see_motion": seeing,
     }
     text = (
         f"{len(length)} tracks, {counts['in_view_median']:.0f} in view (least "
@@ -118,6 +111,19 @@ def check_track_counts(sequence: Sequence) -> tuple[Finding, dict[str, Array]]:
         f"{counts['seen_once']} are seen once only"
     )
     series = {"tracks_in_view": in_view.astype(float), "track_length": length.astype(float)}
+    if seeing < _MOST * len(continuing):
+        headline = (
+            f"few tracks: in {seeing} of {len(continuing)} steps only do {FEWEST} tracks or more go on, "
+            "fewer do not show the camera's motion; what rests on it is of those steps or was not looked at"
+        )
+        # Three points fix a pose; with fewer the inertial data carry the estimate, whatever the filter says.
+        alone = float(np.median(continuing)) < _LEAST
+        if alone:
+            headline = (
+                f"{headline}; half of the steps have fewer than {_LEAST}: the pose rests on the inertial data"
+            )
+        verdict: Verdict = "fault" if alone else "unclear"
+        return Finding("tracks", verdict, f"{headline}; {text}", counts=counts), series
     if len(few) == 0:
         return Finding("tracks", "ok", text, counts=counts), series
     listed = ", ".join(str(k) for k in few[:_LISTED]) + (" ..." if len(few) > _LISTED else "")

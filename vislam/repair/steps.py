@@ -74,10 +74,11 @@ def apply(sequence: Sequence, config: RepairConfig) -> Sequence:
     for item in fields(RepairConfig):
         step: Step | None = getattr(config, item.name)
         counts: dict[str, int] = {}
+        given = sequence
         if step is not None:
-            before = sequence.counts
             sequence = step.apply(sequence)
-            counts = {key: value for key, value in sequence.counts.items() if key not in before}
+            counts = {key: value for key, value in sequence.counts.items() if key not in given.counts}
         options = {} if step is None else asdict(step)
-        records.append(Repair(item.name, step is not None, options, counts))
+        before, after = given.observations, sequence.observations
+        records.append(Repair(item.name, step is not None, options, counts, before=before, after=after))
     return replace(sequence, repairs=tuple(records))

@@ -1,10 +1,12 @@
 """What an inspection leaves behind: ``inspection.json`` and its figures."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vislam.files import replace_whole
@@ -12,6 +14,7 @@ from vislam.inspection import Inspection
 from vislam.types import Array
 
 SCHEMA_VERSION = 1
+Panel = Callable[[Axes, dict[str, Array]], None]
 _NAMES = ("rate x [rad/s]", "rate y [rad/s]", "rate z [rad/s]", "forward [m/s]", "left [m/s]", "third [m/s]")
 
 
@@ -22,7 +25,9 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool) -> Non
         "name": result.name,
         "stand_in": stand_in,
         "findings": [_finite(asdict(finding)) for finding in result.findings],
-        "proposal": result.proposal,
+        "proposal": _finite(result.proposal),
+        "settings": _finite(result.settings),
+        "unknown": result.unknown,
     }
     with replace_whole(folder / "inspection.json") as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
@@ -33,13 +38,16 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool) -> Non
 
 
 def figures(result: Inspection, *, title: str) -> dict[str, Figure]:
-    """Figures by name: readings of the mounting, tracks, clock, motion, stereo, pixel noise."""
+    """Figures by name: tracks, motion, and what the other checks have measured; without a series, none."""
     series = result.series
     drawn = {"tracks": _tracks(series)}
-    if "step_seen" in series:
-        drawn |= {"motion": _motion(series), "checks": _checks(series)}
+    if len(series.get("step_seen", ())):
+        drawn["motion"] = _motion(series)
+    panels = [draw for draw, needed in _PANELS.items() if all(len(series.get(name, ())) for name in needed)]
+    if panels:
+        drawn["checks"] = _checks(series, panels)
     for figure in drawn.values():
-        figure.suptitle(title)
+        figure.suptitle(title, parse_math=False)
     return drawn
 
 
@@ -54,7 +62,9 @@ def _tracks(series: dict[str, Array]) -> Figure:
     above.legend()
     length = series["track_length"]
     below.hist(length, bins=np.arange(1, max(length.max(initial=1), 2) + 2) - 0.5)
-    below.set(xlabel="length of a track, stale tracks cut [frames]", ylabel="tracks", yscale="log")
+    below.set(xlabel="length of a track, stale tracks cut [frames]", ylabel="tracks")
+    if len(length):
+        below.set_yscale("log")
     return figure
 
 
@@ -80,21 +90,42 @@ def _motion(series: dict[str, Array]) -> Figure:
     return figure
 
 
-def _checks(series: dict[str, Array]) -> Figure:
-    figure = Figure(figsize=(9, 7), layout="constrained")
-    (readings, clock), (ways, pixel) = figure.subplots(2, 2)
-    readings.plot(
-        np.arange(1, len(series["mounting_score"]) + 1), series["mounting_score"], "o-", markersize=3
-    )
-    readings.set(xlabel="reading of axes and extrinsic, by rank", ylabel="one-frame error [px]")
-    clock.plot(series["clock_lag"], series["clock_cost"])
-    clock.set(xlabel="clock offset [s]", ylabel="mismatch of the two motions")
-    ways.plot(series["way_disparity"], series["way_ratio"], "o-")
-    ways.axhline(1.0, color="0.6", linewidth=0.8)
-    ways.set(xlabel="disparity [px]", ylabel="camera's way over inertial way", xscale="log")
-    pixel.plot(series["pixel_span"], series["pixel_sigma"], "o-")
-    pixel.set(xlabel="frames between two sightings", ylabel="row error [px]")
+def _checks(series: dict[str, Array], panels: list[Panel]) -> Figure:
+    figure = Figure(figsize=(9, 7 if len(panels) > 2 else 4), layout="constrained")
+    for place, draw in enumerate(panels, start=1):
+        draw(figure.add_subplot((len(panels) + 1) // 2, min(len(panels), 2), place), series)
     return figure
+
+
+def _readings(axes: Axes, series: dict[str, Array]) -> None:
+    score = series["mounting_score"]
+    axes.plot(np.arange(1, len(score) + 1), score, "o-", markersize=3)
+    axes.set(xlabel="reading of axes and extrinsic, by rank", ylabel="one-frame error [px]")
+
+
+def _clock(axes: Axes, series: dict[str, Array]) -> None:
+    axes.plot(series["clock_lag"], series["clock_cost"])
+    axes.set(xlabel="clock offset [s]", ylabel="mismatch of the two motions")
+
+
+def _scale(axes: Axes, series: dict[str, Array]) -> None:
+    axes.plot(series["way_disparity"], series["way_ratio"], "o-")
+    axes.axhline(1.0, color="0.6", linewidth=0.8)
+    axes.set(xlabel="disparity [px]", ylabel="camera's distance over inertial distance", xscale="log")
+
+
+def _pixel_noise(axes: Axes, series: dict[str, Array]) -> None:
+    axes.plot(series["pixel_span"], series["pixel_sigma"], "o-")
+    axes.set(xlabel="frames between two observations", ylabel="row error [px]")
+
+
+_PANELS: dict[Panel, tuple[str, ...]] = {
+    _readings: ("mounting_score",),
+    _clock: ("clock_lag", "clock_cost"),
+    _scale: ("way_disparity", "way_ratio"),
+    _pixel_noise: ("pixel_span", "pixel_sigma"),
+}
+"""Panels of the figure of checks, each with the series that it needs."""
 
 
 def _finite(value: object) -> object:
