@@ -95,6 +95,8 @@ def descend(
     """
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setLinearSolverType(f"MULTIFRONTAL_{solver.upper()}")
+    # A step that changes the cost by less than this share ends the search for its damping, too.
+    parameters.setRelativeErrorTol(_CONVERGED)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
     cost, cut = optimizer.error(), False
     for _ in range(most):
