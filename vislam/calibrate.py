@@ -1,7 +1,8 @@
 """``python -m vislam.calibrate``: noise, biases and clock from the data alone; writes a config.
 
-The reference of a recording is never looked at. Exit codes: 0 done, 1 the filter did not finish, 2 bad config
-or data.
+The reference of a recording is never looked at. The best config so far is written after each round and says
+that it is unfinished. Exit codes: 0 done, 1 the filter did not finish or workers were lost, 2 bad config or
+data, 130 interrupted.
 """
 
 import argparse
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vislam.command import add_config_options, answer, load_config
+from vislam.errors import ConfigError
 
 _BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
 
@@ -37,18 +39,19 @@ def _parser() -> argparse.ArgumentParser:
 
 def _calibrate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
+    for name, least in (("processes", 1), ("frames", 2)):
+        if (got := getattr(options, name)) is not None and got < least:
+            raise ConfigError(f"--{name} must be at least {least}, got {got}")
     config = load_config(options)
     from dataclasses import replace  # noqa: PLC0415
 
-    from vislam import config as configuration  # noqa: PLC0415
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
     from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
+    from vislam.calibration.output import Output  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
-    from vislam.files import check_writable, replace_whole  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
-    check_writable(options.out)
-    terminal = Terminal()
+    terminal, out = Terminal(), Output(options.out)
     dataset = open_dataset(
         config.data,
         seed=config.seed,
@@ -60,13 +63,19 @@ def _calibrate(options: argparse.Namespace) -> int:
         terminal.note(dataset.notes[0])
     if options.frames is not None:
         dataset = replace(dataset, sequence=first_frames(dataset.sequence, options.frames))
-    result = calibrate(
-        config,
-        replace(dataset, reference=None),
-        parameters(inertial=options.inertial, disparity_offset=options.disparity_offset),
-        processes=options.processes,
-        say=terminal.note,
-    )
+    try:
+        result = calibrate(
+            config,
+            replace(dataset, reference=None),
+            parameters(inertial=options.inertial, disparity_offset=options.disparity_offset),
+            processes=options.processes,
+            say=terminal.note,
+            keep=out.keep,
+        )
+    except BaseException:
+        if out.kept:
+            terminal.note(f"best config so far ({out.kept}): {out.path}")
+        raise
     terminal.rows(
         ["parameter", "before", "calibrated", "95 % interval", "unit"],
         [
@@ -106,8 +115,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         written = replace(
             written, noise=replace(written.noise, bias_mean=prior.bias_mean, bias_sigma=prior.bias_sigma)
         )
-    with replace_whole(options.out) as temporary:
-        temporary.write_text(configuration.dump(written), encoding="utf-8")
+    out.finish(written)
     terminal.note(f"config: {options.out}")
     return 0
 

@@ -1,5 +1,6 @@
 """The calibration command: the config it writes, and how it answers bad input."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,9 @@ import yaml
 
 from vislam import calibrate, compare
 from vislam.calibration.likelihood import Evaluator
-from vislam.config import load
+from vislam.calibration.output import Output
+from vislam.config import dump, load
+from vislam.errors import DataError, DivergedError, Interrupted
 
 CONFIG = """\
 name: small
@@ -162,10 +165,13 @@ def test_missing_data_gets_one_line_and_2(tmp_path, capsys):
     [
         (["--set", "noise.pixel_sigma_px=-1"], "noise.pixel_sigma_px"),
         (["--set", "noise.pixel"], "expected KEY=VALUE"),
-        (["--frames", "0"], "at least 2 are needed"),
+        (["--frames", "0"], "--frames must be at least 2, got 0"),
+        (["--frames", "-3"], "--frames must be at least 2, got -3"),
+        (["--processes", "0"], "--processes must be at least 1, got 0"),
+        (["--processes", "-1"], "--processes must be at least 1, got -1"),
         (["--set", "data.simulation.loss_probability=1.0"], "no stereo observation is left"),
     ],
-    ids=["out of range", "no value", "no frames", "nothing seen"],
+    ids=["range", "no value", "no frames", "fewer", "no processes", "fewer processes", "nothing seen"],
 )
 def test_bad_input_gets_one_line_and_2(small, more, message, capsys):
     assert calibrated(small, *more) == 2
@@ -173,9 +179,68 @@ def test_bad_input_gets_one_line_and_2(small, more, message, capsys):
     assert not Path("calibrated.yaml").exists()
 
 
+def unfinished(path):
+    """The round that an unfinished config names; it is a whole config all the same."""
+    first, _, rest = path.read_text(encoding="utf-8").partition("\n")
+    assert rest == dump(load(path))
+    return first.removeprefix("# calibration unfinished: ")
+
+
+def test_the_best_so_far_is_written_after_each_round(small, monkeypatch, capsys):
+    seen = []
+    write = Output.keep
+
+    def watched(self, config, where):
+        write(self, config, where)
+        seen.append((unfinished(self.path), where, load(self.path).noise.pixel_sigma_px))
+
+    monkeypatch.setattr(Output, "keep", watched)
+    assert calibrated(small) == 0
+    shown = capsys.readouterr().out
+    assert len(seen) >= 3
+    for first, where, _ in seen:
+        assert first == where
+        assert re.fullmatch(r"choice [123] of at most 3, round \d+ of at most 12", where)
+        (line,) = [line for line in shown.splitlines() if line.startswith(f"{where}: ")]
+        assert re.search(r": log likelihood \S+, gained \S+; \S+ s a round, at most \d+ (s|min) left$", line)
+    # It is the best so far that is kept, not where it began, and the end is marked no more.
+    assert seen[0][2] != load(Path(small)).noise.pixel_sigma_px
+    assert not Path("calibrated.yaml").read_text(encoding="utf-8").startswith("#")
+
+
+ENDS = {
+    "diverged": (DivergedError("lost"), 1, "vislam: lost"),
+    "interrupted": (Interrupted("SIGTERM"), 130, "vislam: interrupted"),
+    "disk full": (DataError("disk: full"), 2, "vislam: disk: full"),
+}
+
+
+@pytest.mark.parametrize("end", sorted(ENDS))
+@pytest.mark.parametrize("rounds", [0, 2])
+def test_whatever_ends_it_the_best_so_far_stays(end, rounds, small, monkeypatch, capsys):
+    error, code, said = ENDS[end]
+    write, before = Output.keep, []
+
+    def fails(self, config, where):
+        if len(before) == rounds:
+            raise error
+        write(self, config, where)
+        before.append(where)
+
+    monkeypatch.setattr(Output, "keep", fails)
+    assert calibrated(small) == code
+    told = capsys.readouterr()
+    assert told.err.startswith(said)
+    assert told.err.count("\n") == 1
+    if rounds:
+        assert unfinished(Path("calibrated.yaml")) == before[-1]
+        assert told.out.splitlines()[-1] == f"best config so far ({before[-1]}): calibrated.yaml"
+    else:
+        assert not Path("calibrated.yaml").exists()
+
+
 def test_a_filter_that_fails_gives_1_and_leaves_the_old_file(small, monkeypatch, capsys):
     from vislam.ekf import EkfEstimator
-    from vislam.errors import DivergedError
 
     def failing(self, frame, refused):
         raise DivergedError("covariance lost, smallest variance -1")

@@ -1,17 +1,17 @@
 """The calibration: choose observations by the gate, maximise, choose again, until choice and match rest."""
 
 import logging
-import multiprocessing
+import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
-from vislam.calibration.search import maximise
+from vislam.calibration.search import ROUNDS, Round, maximise
+from vislam.calibration.workers import Workers
 from vislam.config import Config
 from vislam.data.source import Dataset, require_usable
 from vislam.errors import DivergedError
@@ -84,6 +84,7 @@ def calibrate(
     *,
     processes: int = 1,
     say: Callable[[str], None] = _log.info,
+    keep: Callable[[Config, str], None] = lambda config, where: None,
 ) -> Calibration:
     """Calibrate a config on a dataset, whose reference is never looked at.
 
@@ -98,26 +99,56 @@ def calibrate(
         How many filters run side by side.
     say : callable
         Is given a line after each round.
+    keep : callable
+        Is given the best config so far after each round, and which round that is.
 
     Raises
     ------
     DataError
         If there is nothing to calibrate on.
     DivergedError
-        If the filter does not finish with the config it starts from.
+        If the filter does not finish with the config it starts from, or worker processes are lost again and
+        again.
     """
+    if processes < 1:
+        raise ValueError(f"processes must be >= 1, got {processes}")
     require_usable(dataset)
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context) if processes > 1 else None
+    workers = Workers(processes, say=say) if processes > 1 else None
     try:
-        return _calibrate(config, chosen, Evaluator(dataset, config, pool), say)
+        return _calibrate(config, chosen, Evaluator(dataset, config, workers), _Reporter(say, keep))
     finally:
-        if pool is not None:
-            pool.shutdown(cancel_futures=True)
+        if workers is not None:
+            workers.close()
+
+
+@dataclass
+class _Reporter:
+    """Says how far the calibration is, and hands on the best config so far."""
+
+    say: Callable[[str], None]
+    keep: Callable[[Config, str], None]
+    _began: float = field(default_factory=time.monotonic)
+    _rounds: int = 0
+
+    def round(self, config: Config, ended: Round, *, choice: int) -> None:
+        """Report a round that has ended with this config."""
+        self._rounds += 1
+        each = (time.monotonic() - self._began) / self._rounds
+        left = ROUNDS - ended.number + ROUNDS * (_CHOICES - choice)
+        where = f"choice {choice} of at most {_CHOICES}, round {ended.number} of at most {ROUNDS}"
+        self.keep(config, where)
+        self.say(
+            f"{where}: log likelihood {ended.log_likelihood:.1f}, gained {ended.gain:.1f}; "
+            f"{each:.1f} s a round, at most {_duration(each * left)} left"
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"
 
 
 def _calibrate(
-    config: Config, chosen: list[Parameter], evaluator: Evaluator, say: Callable[[str], None]
+    config: Config, chosen: list[Parameter], evaluator: Evaluator, reporter: _Reporter
 ) -> Calibration:
     before = _finished(evaluator.run(config))
     current = config
@@ -131,6 +162,9 @@ def _calibrate(
         def evaluate(points: list[Array], start: Config = start, refused: BoolArray = refused) -> list[Array]:
             return evaluator.log_likelihoods([_at(start, chosen, point) for point in points], refused=refused)
 
+        def ended(found: Round, start: Config = start, choice: int = choice) -> None:
+            reporter.round(_at(start, chosen, found.point), found, choice=choice)
+
         largest = [_LARGEST_LOG if item.logarithmic else _LARGEST_OFFSET_STEPS * item.step for item in chosen]
         maximum = maximise(
             evaluate,
@@ -138,11 +172,12 @@ def _calibrate(
             steps=np.array([item.step for item in chosen]),
             lowest=np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in chosen]),
             largest=np.array(largest),
+            on_round=ended,
         )
         current = _at(current, chosen, maximum.point)
         run = _finished(evaluator.run(current))
         changed = int(np.sum(run.gated != refused))
-        say(
+        reporter.say(
             f"choice {choice} of observations: {maximum.rounds} rounds, "
             f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {run.nis_per_dof:.3f}, "
             f"{changed} observations changed sides"
@@ -153,7 +188,7 @@ def _calibrate(
         if (changed <= _RESTS * len(refused) and match_rests) or choice == _CHOICES:
             break
         match = again
-    current, run = _levelled(current, evaluator, run, say)
+    current, run = _levelled(current, evaluator, run, reporter)
     bias, bias_sigma = _bias(current, evaluator, run)
     start_sigma = np.hypot(
         bias_sigma, np.array(config.noise.bias_walk) * np.sqrt(run.stamp[-1] - run.stamp[0])
@@ -175,9 +210,7 @@ def _calibrate(
     return Calibration(final, found, bias, bias_sigma, before, after)
 
 
-def _levelled(
-    config: Config, evaluator: Evaluator, run: Run, say: Callable[[str], None]
-) -> tuple[Config, Run]:
+def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporter) -> tuple[Config, Run]:
     """Config whose pixel noise is scaled until the NIS per degree of freedom of the gated filter is 1.
 
     The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the
@@ -195,7 +228,7 @@ def _levelled(
         )
         config = replace(config, noise=noise)
         run = _finished(evaluator.run(config))
-        say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
+        reporter.say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
     return config, run
 
 

@@ -1,12 +1,12 @@
 """Likelihood of a config: the filter run over a repaired sequence with a frozen choice of observations."""
 
 from collections.abc import Sequence as Items
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vislam import loop
+from vislam.calibration.workers import Workers
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
 from vislam.data.sequence import Sequence
@@ -31,13 +31,13 @@ class Evaluator:
     dataset : Dataset
     base : Config
         The config that the sequence was repaired with.
-    pool : ProcessPoolExecutor or None
+    workers : Workers or None
         Processes to share the work.
     """
 
     dataset: Dataset
     base: Config
-    pool: ProcessPoolExecutor | None = None
+    workers: Workers | None = None
 
     def run(self, config: Config, *, refused: BoolArray | None = None) -> Run:
         """Run the filter; with ``refused (n,)`` given, that choice of observations replaces the gate."""
@@ -53,9 +53,9 @@ class Evaluator:
     def log_likelihoods(self, configs: Items[Config], *, refused: BoolArray) -> list[Array]:
         """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
         jobs = [(self._moved(config), config, refused) for config in configs]
-        if self.pool is None:
+        if self.workers is None:
             return [_log_likelihood(job) for job in jobs]
-        return list(self.pool.map(_log_likelihood, jobs))
+        return self.workers.map(_log_likelihood, jobs)
 
     def _moved(self, config: Config) -> Dataset:
         """Dataset with the clock and the disparities of a config, all other repairs as they were."""

@@ -18,8 +18,29 @@ Evaluate = Callable[[list[Array]], list[Array]]
 """From points ``(p,)`` to log likelihoods of each frame ``(T,)``."""
 
 _log = logging.getLogger("vislam.calibration")
-_ROUNDS = 12
+ROUNDS = 12
+"""Rounds of a search, at most."""
 _DAMPING = (0.0, 0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Round:
+    """Where a round of the search ended.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    point : (p,)
+        The best so far.
+    log_likelihood, gain : float
+        There, and what the round has added.
+    """
+
+    number: int
+    point: Array
+    log_likelihood: float
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -42,7 +63,14 @@ class Maximum:
 
 
 def maximise(
-    evaluate: Evaluate, start: Array, *, steps: Array, lowest: Array, largest: Array, tolerance: float = 0.5
+    evaluate: Evaluate,
+    start: Array,
+    *,
+    steps: Array,
+    lowest: Array,
+    largest: Array,
+    tolerance: float = 0.5,
+    on_round: Callable[[Round], None] = lambda ended: None,
 ) -> Maximum:
     """Search the maximum.
 
@@ -59,9 +87,11 @@ def maximise(
     tolerance : float
         The search ends when a round gains less log likelihood than this; a parameter whose lowest value costs
         no more than this goes there, and stays.
+    on_round : callable
+        Is given each round when it has ended.
     """
     point, needed = np.maximum(start, lowest), np.ones(len(start), bool)
-    for rounds in range(1, _ROUNDS + 1):
+    for rounds in range(1, ROUNDS + 1):
         scores, here, curvature = _scores(evaluate, point, steps)
         free = needed & ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
         candidates = [
@@ -74,14 +104,17 @@ def maximise(
         _log.info("round %d: log likelihood %.1f, gain %.1f, at %s", rounds, here, gain, np.round(point, 3))
         if gain > 0.0:
             point, here = candidates[choice], values[choice]
-        if gain < tolerance:
+        rests, dropped = gain < tolerance, None
+        if rests:
             # Towards its lowest value a level's score fades, so the search comes to rest short of it.
             dropped = _not_needed(evaluate, point, lowest, at_least=here - tolerance)
-            if dropped is None:
-                break
+        if dropped is not None:
             index, here = dropped
             point, needed[index], free[index] = point.copy(), False, False
             point[index] = lowest[index]
+        on_round(Round(rounds, point, here, max(gain, 0.0)))
+        if rests and dropped is None:
+            break
     return Maximum(point, _sigma(scores, curvature, free), here, rounds)
 
 

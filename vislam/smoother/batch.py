@@ -1,7 +1,7 @@
 """Batch optimisation of a whole drive, from the incremental estimate."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from vislam.data.sequence import Frame
 from vislam.sensors import StereoRig
+from vislam.smoother.descent import Budget, Descent, descend
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import X
 from vislam.smoother.options import SmootherOptions
@@ -17,9 +18,9 @@ from vislam.types import Array, BoolArray
 
 _AT_REST = 1e-6
 """A round that lowers the cost by less than this share of it is the last one."""
-_SETTLED = 1e-8
-"""An iteration that lowers the cost by less than this share of it is the last of its round."""
-_MOST_ITERATIONS = 50
+_NOTHING = 1e-9
+"""So is one that lowers it by less than this: squares of residuals in standard deviations."""
+_GRADUATIONS = 50
 _INNER_ITERATIONS = 3
 _GRADUATION = 1.4
 """Factor by which each round of graduated non-convexity comes nearer to the truncated cost."""
@@ -44,12 +45,15 @@ class Optimum:
         Triangulations and optimisations done.
     at_rest : bool
         Whether the last round lowered the cost by next to nothing.
+    stopped : str
+        Option whose budget ended it before; empty if none did.
     """
 
     values: gtsam.Values
     cost: float
     rounds: int
     at_rest: bool
+    stopped: str
 
 
 @dataclass
@@ -105,7 +109,7 @@ class Drive:
             moved.update(self.tracks[index].key, found.points_world[index])
         return moved
 
-    def optimise(self, values: gtsam.Values, options: SmootherOptions) -> Optimum:
+    def optimise(self, values: gtsam.Values, options: SmootherOptions, budget: Budget) -> Optimum:
         """Find the most probable drive from an estimate of it, with the factors that the options name."""
         if options.factors == "stereo":
             return minimise(
@@ -113,21 +117,22 @@ class Drive:
                 values,
                 restart=lambda values: self.triangulated(values, clear=options.start_clearance),
                 rounds=options.final_iterations,
+                budget=budget,
             )
         graph = self.motion()
         for track in self.tracks:
             graph.add(self.factors.smart(track.views))
         start = only(values, graph)
-        found = minimise(graph, start, restart=gtsam.Values, rounds=1)
+        found = minimise(graph, start, restart=gtsam.Values, rounds=1, budget=budget)
         everything = gtsam.Values(values)
         everything.update(found.values)
         located = self.triangulated(everything, clear=options.start_clearance)
-        return Optimum(located, found.cost, found.rounds, at_rest=True)
+        return replace(found, values=located, at_rest=not found.stopped)
 
-    def graduate(self, values: gtsam.Values) -> tuple[gtsam.Values, int]:
+    def graduate(self, values: gtsam.Values, budget: Budget) -> tuple[gtsam.Values, int]:
         """Take outliers out of the tracks; returns the values of what is left, and how many they were."""
         count = sum(len(track.views) for track in self.tracks)
-        values, good = graduate(self.graph, values, count=count)
+        values, good = graduate(self.graph, values, count=count, budget=budget)
         first = 0
         for track in self.tracks:
             kept = good[first : first + len(track.views)]
@@ -163,6 +168,7 @@ def minimise(
     *,
     restart: Callable[[gtsam.Values], gtsam.Values],
     rounds: int,
+    budget: Budget,
 ) -> Optimum:
     """Levenberg-Marquardt, again from where ``restart`` moves the best values, until the cost rests.
 
@@ -174,20 +180,26 @@ def minimise(
         Values to start a round from, out of the best so far.
     rounds : int
         At most.
+    budget : Budget
+        Once it is spent, the best values so far are the result.
     """
-    best, cost, done, at_rest = values, graph.error(values), 0, False
-    while done < rounds and not at_rest:
+    best, cost, done, at_rest, stopped = values, graph.error(values), 0, False, budget.spent
+    while done < rounds and not at_rest and not stopped:
         done += 1
-        found = _descend(graph, restart(best))
-        now = graph.error(found)
-        at_rest = not now < (1.0 - _AT_REST) * cost
-        if now < cost:
-            best, cost = found, now
-    return Optimum(best, cost, done, at_rest)
+        found = _descend(graph, restart(best), budget)
+        at_rest = not found.cut and not found.cost < cost - max(_AT_REST * cost, _NOTHING)
+        if found.cost < cost:
+            best, cost = found.values, found.cost
+        stopped = budget.spent if found.cut or (done < rounds and not at_rest) else ""
+    return Optimum(best, cost, done, at_rest, stopped)
 
 
 def graduate(
-    weighted: Callable[[Array], gtsam.NonlinearFactorGraph], values: gtsam.Values, *, count: int
+    weighted: Callable[[Array], gtsam.NonlinearFactorGraph],
+    values: gtsam.Values,
+    *,
+    count: int,
+    budget: Budget,
 ) -> tuple[gtsam.Values, BoolArray]:
     """Graduated non-convexity with truncated least squares (Yang et al., IEEE RA-L 5, 2020, section IV-B).
 
@@ -200,6 +212,8 @@ def graduate(
     values : gtsam.Values
     count : int
         Number of factors that may be outliers.
+    budget : Budget
+        Once it is spent, the weights so far decide.
 
     Returns
     -------
@@ -208,19 +222,18 @@ def graduate(
         Factors that are no outliers.
     """
     plain = weighted(np.ones(count))
-    inner = _parameters("cholesky")
-    inner.setMaxIterations(_INNER_ITERATIONS)
     limit = float(chi2.ppf(_INLIER_PROBABILITY, 3))
     squared = _squared_residuals(plain, values, count)
     control = limit / max(2.0 * squared.max(initial=0.0) - limit, limit)
     weights = np.ones(count)
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_GRADUATIONS):
         root = np.sqrt(limit * control * (control + 1.0) / np.maximum(squared, 1e-12)) - control
         weights = np.where(squared <= limit * control / (control + 1.0), 1.0, np.clip(root, 0.0, 1.0))
         weights[squared >= limit * (control + 1.0) / control] = 0.0
-        values = gtsam.LevenbergMarquardtOptimizer(weighted(weights), values, inner).optimize()
+        inner = descend(weighted(weights), values, solver="cholesky", budget=budget, most=_INNER_ITERATIONS)
+        values = inner.values
         squared = _squared_residuals(plain, values, count)
-        if np.all((weights == 0.0) | (weights == 1.0)):
+        if budget.spent or np.all((weights == 0.0) | (weights == 1.0)):
             break
         control *= _GRADUATION
     return values, weights > _INLIER_WEIGHT
@@ -235,24 +248,14 @@ def only(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> gtsam.Value
     return kept
 
 
-def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, budget: Budget) -> Descent:
     """Levenberg-Marquardt with Cholesky, and from there with QR if steps were refused."""
-    parameters = _parameters("cholesky")
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
-    found = optimizer.optimize()
-    if optimizer.lambda_() > parameters.getlambdaInitial():
-        found = gtsam.LevenbergMarquardtOptimizer(graph, found, _parameters("qr")).optimize()
+    found = descend(graph, start, solver="cholesky", budget=budget)
+    if found.damped and not found.cut:
+        found = descend(graph, found.values, solver="qr", budget=budget)
     return found
 
 
 def _squared_residuals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, count: int) -> Array:
     first = graph.size() - count
     return 2.0 * np.array([graph.at(index).error(values) for index in range(first, graph.size())])
-
-
-def _parameters(solver: str) -> gtsam.LevenbergMarquardtParams:
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setLinearSolverType(f"MULTIFRONTAL_{solver.upper()}")
-    parameters.setMaxIterations(_MOST_ITERATIONS)
-    parameters.setRelativeErrorTol(_SETTLED)
-    return parameters

@@ -1,5 +1,6 @@
 """Smoothing SLAM, one frame at a time, with GTSAM doing the solving."""
 
+import logging
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 
@@ -12,6 +13,7 @@ from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
 from vislam.smoother import engine
 from vislam.smoother.batch import Drive, only
+from vislam.smoother.descent import Budget, Tell
 from vislam.smoother.engine import IndeterminateError
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import CLOCK, W, X, is_landmark
@@ -19,6 +21,7 @@ from vislam.smoother.options import SmootherOptions
 from vislam.smoother.tracks import Track, Tracks
 from vislam.types import Array, BoolArray
 
+_log = logging.getLogger("vislam.smoother")
 _NEAREST = 1.0
 """A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
 _MOST_SUSPECTS = 20
@@ -34,9 +37,15 @@ class SmootherEstimator:
     A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there,
     and from these, without the landmarks that broke it, the solver is built anew and the step repeated. The
     rescue is counted and told.
+
+    Attributes
+    ----------
+    tell : callable
+        Is given a line after each iteration of the optimisation in the end; by default it is logged.
     """
 
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
+        self.tell: Tell = _log.info
         self._problem, self._options = problem, options
         self._factors = FactorBuilder(problem, robust=options.robust, threshold=options.robust_threshold)
         self._factorization = "qr" if options.factorization == "qr" else "cholesky"
@@ -384,22 +393,35 @@ class SmootherEstimator:
     def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""
         options, values = self._options, self._engine.estimate()
+        budget = Budget(options.max_iterations, options.budget_s, tell=self.tell)
         if options.final == "relinearised":
             for _ in range(options.final_iterations):
+                if budget.spent:
+                    self._events.append(_stopped("relinearised", budget, budget.spent))
+                    break
                 try:
                     self._engine.settle()
                     values = self._engine.estimate()
                 except IndeterminateError:
                     self._counts["final_iterations_undone"] += 1
                     break
+                budget.count("relinearised")
         elif options.final != "as_is":
             if options.final == "gnc":
-                values, self._counts["outliers"] = drive.graduate(values)
-            found = drive.optimise(values, options)
+                values, self._counts["outliers"] = drive.graduate(values, budget)
+            found = drive.optimise(values, options, budget)
             values, self._counts["optimisation_rounds"] = found.values, found.rounds
-            if not found.at_rest:
+            self._counts["optimisation_iterations"] = budget.done
+            if found.stopped:
+                cost = f"cost {found.cost:.6g}, still falling by {budget.fall:.3g} an iteration"
+                self._events.append(f"{_stopped(options.final, budget, found.stopped)}, {cost}")
+            elif not found.at_rest:
                 self._events.append(f"the cost did not rest in {found.rounds} rounds of optimisation")
         return values
+
+
+def _stopped(what: str, budget: Budget, by: str) -> str:
+    return f"{what}: stopped after {budget.done} iterations ({by})"
 
 
 def _place(owners: Sequence[Track], slots: Sequence[int]) -> None:

@@ -48,6 +48,12 @@ class SmootherOptions:
     takes for outliers."""
     final_iterations: Annotated[int, Field(ge=1)] = 1
     """Updates of ``relinearised``; else rounds of triangulation and optimisation, at most."""
+    max_iterations: Annotated[int, Field(ge=1)] = 300
+    """Iterations of the final optimisation, at most: updates of ``relinearised``, else Levenberg-Marquardt
+    steps over all rounds, with Cholesky and QR together. The best estimate so far is then the result."""
+    budget_s: Positive | None = None
+    """Wall time of the final optimisation, at most [s]; null: unbounded. It makes the result depend on the
+    machine."""
     factors: Literal["stereo", "smart"] = "stereo"
     """Factors of ``batch``: one a sight, or one smart factor a track, which holds no landmark. GTSAM's smart
     factors have one isotropic noise: rows are taken for as noisy as columns."""

@@ -1,0 +1,35 @@
+"""The config that a calibration writes: the best so far after each round, and the calibrated one."""
+
+from pathlib import Path
+
+from vislam import config as configuration
+from vislam.config import Config
+from vislam.files import check_writable, replace_whole
+
+
+class Output:
+    """A config file, written whole or not at all.
+
+    Attributes
+    ----------
+    path : Path
+    kept : str
+        The round after which the best config so far was written last; empty before the first.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_writable(path)
+        self.path, self.kept = path, ""
+
+    def keep(self, config: Config, where: str) -> None:
+        """Write the best config so far, which says so."""
+        self._write(f"# calibration unfinished: {where}\n{configuration.dump(config)}")
+        self.kept = where
+
+    def finish(self, config: Config) -> None:
+        """Write the calibrated config."""
+        self._write(configuration.dump(config))
+
+    def _write(self, text: str) -> None:
+        with replace_whole(self.path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
