@@ -1,12 +1,9 @@
 """One comparison from config to results: open the data, run the estimators, save, publish."""
 
-import hashlib
 import platform
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import entry_points, version
-from importlib.util import find_spec
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +11,14 @@ import numpy as np
 from vislam import config as configuration
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
+from vislam.data.find import search_path
 from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
-from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
+from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
 from vislam.files import check_writable
 from vislam.frozen import FrozenList
+from vislam.identity import code_digest, combine, inputs_digest
 from vislam.members import members
 from vislam.motion import MotionNoise
 from vislam.record import Record, Tracks
@@ -28,8 +27,6 @@ from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
 from vislam.types import Array, BoolArray
-
-_ID_DIGITS = 10
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ def compare(
     checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
-    folder = out / result_id(config, dataset)
+    folder = out / result_id(config, dataset, data_dir=data_dir)
     check_writable(folder / "metrics.json")
     results = run_comparison(config, dataset, terminal)
     results.save(folder)
@@ -177,10 +174,11 @@ def _track_noise(config: Config) -> TrackNoise:
     return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
 
 
-def result_id(config: Config, dataset: Dataset) -> str:
-    """Hash of config, data and code version."""
-    parts = [configuration.dump(config), dataset.sequence.digest, code_digest()]
-    return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
+def result_id(config: Config, dataset: Dataset, *, data_dir: Path | None = None) -> str:
+    """Hash of config, data, code with its versions, and of all files that the config names."""
+    inputs = inputs_digest(asdict(config), search_path(data_dir))
+    parts = [configuration.dump(config), dataset.sequence.digest, code_digest(), inputs]
+    return f"{config.name}-{combine(*parts)}"
 
 
 def provenance() -> dict[str, str]:
@@ -202,16 +200,3 @@ def _cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-@cache
-def code_digest() -> str:
-    """Hash of the source, that of all estimators included, so that changed code gets a folder of its own."""
-    packages = {__package__, *(entry.value.partition(".")[0] for entry in entry_points(group=GROUP))}
-    digest = hashlib.sha256()
-    for package in sorted(packages):
-        found = find_spec(package)
-        for folder in [] if found is None else sorted(found.submodule_search_locations or []):
-            for path in sorted(Path(folder).rglob("*.py")):
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:_ID_DIGITS]

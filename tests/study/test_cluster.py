@@ -7,8 +7,8 @@ from importlib.machinery import ModuleSpec
 import pytest
 from distributed import Client, Future
 
-from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError
+from vislam.identity import code_digest
 from vislam.study import cluster
 from vislam.study.cluster import LOST, Cluster, run_trials
 from vislam.study.points import Point, all_trials

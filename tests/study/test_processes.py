@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_info
 
 from tests.study.processes import ROOT, address, environment, python, scheduler, until, worker
 from vislam import config as configuration
-from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError
+from vislam.identity import code_digest
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.plan import Plan
 from vislam.study.points import Point, all_trials

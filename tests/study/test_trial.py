@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from vislam.comparison import code_digest
+from vislam.identity import code_digest
 from vislam.study.points import Point
 from vislam.study.trial import run_trial
 

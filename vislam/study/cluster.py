@@ -15,8 +15,8 @@ from distributed import Client, LocalCluster, as_completed
 from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
-from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError, first_line
+from vislam.identity import code_digest
 from vislam.study.points import Trial
 from vislam.study.trial import nothing, run_trial
 

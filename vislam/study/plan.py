@@ -5,10 +5,11 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from vislam.comparison import build_estimators, code_digest
+from vislam.comparison import build_estimators
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError
+from vislam.identity import code_digest
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig

@@ -10,11 +10,12 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from vislam import config as configuration
-from vislam.comparison import code_digest, run_comparison
+from vislam.comparison import run_comparison
 from vislam.config import Config
 from vislam.data.source import open_dataset
 from vislam.errors import first_line
 from vislam.evaluation import evaluate
+from vislam.identity import code_digest
 from vislam.terminal import Terminal
 
 DONE, FAILED = "done", "failed"
