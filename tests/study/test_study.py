@@ -10,6 +10,8 @@ import pytest
 
 from tests.conftest import recorded
 from vislam import config as configuration
+from vislam.command import answer
+from vislam.errors import Interrupted
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
@@ -350,6 +352,19 @@ def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypa
     assert capsys.readouterr().err == "vislam: interrupted\n"
     assert len(list(only("*/trials").glob("*.json"))) == 1
     assert not list(Path("out").glob("*/trials.csv"))
+
+
+@pytest.mark.parametrize(("cause", "code"), [(Interrupted("SIGTERM"), 130), (None, None)])
+def test_a_signal_in_the_middle_of_an_import_is_an_interrupt(cause, code, capsys):
+    def imported():
+        raise ImportError("initialization failed") from cause
+
+    if code is None:
+        with pytest.raises(ImportError, match="initialization failed"):
+            answer(imported, verbose=False)
+        return
+    assert answer(imported, verbose=False) == code
+    assert capsys.readouterr().err == "vislam: interrupted\n"
 
 
 BAD = {
