@@ -107,6 +107,12 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
     except KeyboardInterrupt:
         print("vislam: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except ImportError as error:
+        # A signal while gtsam is imported comes out of it as this.
+        if not isinstance(error.__cause__, Interrupted):
+            raise
+        print("vislam: interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 @contextmanager

@@ -3,11 +3,9 @@
 import hashlib
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import entry_points, version
-from importlib.util import find_spec
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +13,14 @@ import numpy as np
 from vislam import config as configuration
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
+from vislam.data.find import search_path
 from vislam.data.source import Dataset, open_dataset, require_usable
 from vislam.errors import ConfigError, DataError, Interrupted
-from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
+from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
 from vislam.files import check_writable
 from vislam.frozen import FrozenList
+from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.members import Unbuilt, members
 from vislam.motion import MotionNoise
@@ -77,8 +77,8 @@ def compare(
         config.data, seed=config.seed, data_dir=data_dir, config_dir=config_dir, allow_stand_in=allow_stand_in
     )
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
-    identity = identify(config, dataset)
-    folder = out / result_id(config, dataset)
+    identity = identify(config, dataset, folders=search_path(data_dir, config_dir=config_dir))
+    folder = out / result_id(config, dataset, data_dir=data_dir, config_dir=config_dir)
     check_writable(folder / "metrics.json")
     keeper = FolderKeeper(folder, fresh=fresh)
     keeper.clear()
@@ -267,15 +267,19 @@ def _track_noise(config: Config) -> TrackNoise:
     return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
 
 
-def identify(config: Config, dataset: Dataset) -> str:
-    """Hash of config, data and code version."""
-    parts = [configuration.dump(config), dataset.sequence.digest, code_digest()]
+def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:
+    """Hash of config, data, code with its versions, and of all files that the config names."""
+    inputs = inputs_digest(asdict(config), folders)
+    parts = [configuration.dump(config), dataset.sequence.digest, code_digest(), inputs]
     return hashlib.sha256("|".join(parts).encode()).hexdigest()
 
 
-def result_id(config: Config, dataset: Dataset) -> str:
+def result_id(
+    config: Config, dataset: Dataset, *, data_dir: Path | None = None, config_dir: Path | None = None
+) -> str:
     """Name of the results folder: that of the config, and the beginning of the hash."""
-    return f"{config.name}-{identify(config, dataset)[:_ID_DIGITS]}"
+    folders = search_path(data_dir, config_dir=config_dir)
+    return f"{config.name}-{identify(config, dataset, folders=folders)[:_ID_DIGITS]}"
 
 
 def earlier_provenance(record: Record, folder: Path) -> Record:
@@ -306,16 +310,3 @@ def _cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-@cache
-def code_digest() -> str:
-    """Hash of the source, that of all estimators included, so that changed code gets a folder of its own."""
-    packages = {__package__, *(entry.value.partition(".")[0] for entry in entry_points(group=GROUP))}
-    digest = hashlib.sha256()
-    for package in sorted(packages):
-        found = find_spec(package)
-        for folder in [] if found is None else sorted(found.submodule_search_locations or []):
-            for path in sorted(Path(folder).rglob("*.py")):
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:_ID_DIGITS]

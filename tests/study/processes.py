@@ -8,6 +8,9 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
+from distributed.security import Security
+
 ROOT = Path(__file__).parents[2]
 DEADLINE = 60.0
 
@@ -37,19 +40,40 @@ def python(*arguments, env=None, **options):
 
 
 @contextmanager
-def scheduler(folder):
+def scheduler(folder, *options):
     """Give a scheduler's process and its file, which names its address, on a port of its own choice."""
     file = folder / "scheduler.json"
-    place = ("--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
+    place = ("--port", "0", "--dashboard-address", "127.0.0.1:0", *(options or ("--host", "127.0.0.1")))
     with python("-m", "dask", "scheduler", *place, "--scheduler-file", file) as process:
         until(lambda: file.is_file() and file.read_text(encoding="utf-8").endswith("}"))
         yield process, file
 
 
-def worker(file, *, env=None):
+def worker(file, *options, env=None):
     """Process of a worker with one thread; it starts where there is no vislam to be found by chance."""
-    arguments = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
+    place = options or ("--host", "127.0.0.1")
+    arguments = ("--nthreads", "1", "--no-nanny", "--no-dashboard", *place)
     return python("-m", "dask", "worker", "--scheduler-file", file, *arguments, env=env, cwd=file.parent)
+
+
+def credentials(folder):
+    """Files of a certificate and its key, made anew: the options of the study, and those of Dask."""
+    made = Security.temporary()
+    folder.mkdir()
+    for name, text in (("cert.pem", made.tls_client_cert), ("key.pem", made.tls_client_key)):
+        (folder / name).write_text(text, encoding="utf-8")
+    cert, key = folder / "cert.pem", folder / "key.pem"
+    ours = ("--tls-ca", cert, "--tls-cert", cert, "--tls-key", key)
+    return ours, ("--protocol", "tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
+
+
+def workers_of(process):
+    """Workers that a study has started on this machine."""
+    try:
+        family = psutil.Process(process.pid).children(recursive=True)
+        return [child for child in family if any("spawn_main" in part for part in child.cmdline())]
+    except psutil.Error:
+        return []
 
 
 def address(file):

@@ -3,14 +3,16 @@
 import itertools
 import time
 from importlib.machinery import ModuleSpec
+from types import SimpleNamespace
 
 import pytest
 from distributed import Client, Future
 
-from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError
+from vislam.identity import code_digest
 from vislam.study import cluster
 from vislam.study.cluster import LOST, Cluster, run_trials
+from vislam.study.connection import Tls, WorkersGone
 from vislam.study.points import Point, all_trials
 
 WORKERS = 2
@@ -32,7 +34,7 @@ def trials(number):
 
 
 def work(tree, seed):
-    return {"status": "done", "seed": seed, "code": code_digest()}
+    return {"status": "done", "seed": seed, "code": code_digest(), "inputs": ""}
 
 
 def test_each_trial_comes_back_once_and_few_are_held_at_a_time(client):
@@ -94,6 +96,46 @@ def test_a_worker_of_other_code_ends_the_study(client):
         list(run_trials(client, trials(1), work=old))
 
 
+def test_a_worker_that_read_other_files_ends_the_study(client):
+    def other(tree, seed):
+        return {**work(tree, seed), "inputs": "0123456789"}
+
+    with pytest.raises(ConfigError, match="a worker has read other files"):
+        list(run_trials(client, trials(1), work=other))
+
+
+def test_trials_that_nobody_takes_end_with_a_line(client, monkeypatch):
+    """Workers that are there, and then are not for longer than one is willing to wait."""
+    told, now = [], itertools.count()
+
+    def never(tree, seed):
+        time.sleep(3.0)
+        return work(tree, seed)
+
+    monkeypatch.setattr(client, "cluster", None)
+    monkeypatch.setattr(client, "nthreads", dict)
+    clock = SimpleNamespace(sleep=time.sleep, monotonic=lambda: float(next(now)))
+    monkeypatch.setattr(cluster, "time", clock)
+    with pytest.raises(WorkersGone, match="all workers are gone, for 40 s now"):
+        list(run_trials(client, trials(1), work=never, patience=40.0, say=told.append))
+    assert told == ["all workers are gone; waiting 40 s for others"]
+
+
+def test_workers_that_come_back_in_time_are_waited_for(client, monkeypatch):
+    told, now, looked = [], itertools.count(), itertools.count()
+
+    def slow(tree, seed):
+        time.sleep(0.5)
+        return work(tree, seed)
+
+    monkeypatch.setattr(client, "cluster", None)
+    monkeypatch.setattr(client, "nthreads", lambda: {} if next(looked) % 10 else {"a": 1})
+    clock = SimpleNamespace(sleep=time.sleep, monotonic=lambda: float(next(now)))
+    monkeypatch.setattr(cluster, "time", clock)
+    assert len(list(run_trials(client, trials(1), work=slow, patience=12.0, say=told.append))) == 1
+    assert set(told) == {"all workers are gone; waiting 12 s for others"}
+
+
 def test_a_lost_scheduler_is_told_in_one_line(client):
     def slow(tree, seed):
         time.sleep(0.1)
@@ -119,5 +161,23 @@ def test_there_must_be_a_scheduler_file(tmp_path):
     with (
         pytest.raises(ConfigError, match="there is no such file"),
         Cluster(None, tmp_path / "none").connect(),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("content", [None, "", "-----BEGIN CERTIFICATE-----\nx\n-----END CERTIFICATE-----\n"])
+def test_credentials_that_cannot_be_read_are_told(content, tmp_path):
+    path = tmp_path / "pem"
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(ConfigError, match="expected two certificates and the key of the second") as told:
+        Tls(path, path, path).security()
+    assert len(str(told.value).splitlines()) == 1
+
+
+def test_without_credentials_of_its_own_a_tls_address_does_not_answer():
+    with (
+        pytest.raises(ConfigError, match="no Dask scheduler answers there"),
+        Cluster("tls://127.0.0.1:1").connect(),
     ):
         pass

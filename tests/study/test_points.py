@@ -2,16 +2,21 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from vislam import config as configuration
 from vislam.config import Config
 from vislam.errors import ConfigError
 from vislam.study.points import Point, all_points, all_trials, point_values
 from vislam.study.settings import LatinHypercube, StudyConfig
+from vislam.study.trials import Trials
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 PIXELS, FRAMES = "noise.pixel_sigma_px", "data.simulation.frames"
 
 
@@ -79,3 +84,85 @@ def test_a_point_holds_its_values_and_survives_json(short_config):
 def test_what_the_config_does_not_take_is_refused(short_config, grid, message):
     with pytest.raises(ConfigError, match=message):
         all_points(short_config, StudyConfig(grid=grid))
+
+
+EQUAL = {
+    "a number twice": {PIXELS: (0.5, 1.0, 0.5)},
+    "whole and not": {PIXELS: (1, 1.0)},
+    "a text of the number": {PIXELS: (1.0, "1.0")},
+    "two of a grid": {FRAMES: (20, 30), PIXELS: (1.0, 1)},
+    "options that nobody has read yet": {"estimators.ekf.gate": (1, 1.0)},
+    "true and 1": {"estimators.ekf.gate": (True, 1)},
+    "lists": {"noise.bias_mean": ([0, 0, 0, 0, 0, 1], [0.0, 0, 0, 0, 0, 1])},
+    "sections": {"estimators.ekf": ({}, {})},
+    "no number": {"estimators.ekf.x": (float("nan"), float("nan"))},
+    "nothing and the default of nothing": {"noise.climb": (None, None)},
+}
+
+
+@pytest.mark.parametrize("case", EQUAL)
+def test_points_that_are_the_same_are_refused(case, short_config):
+    with pytest.raises(
+        ConfigError, match=r"study: expected points that differ, got the same one twice \("
+    ) as told:
+        all_points(short_config, StudyConfig(grid=EQUAL[case]))
+    assert len(str(told.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "defects",
+    [
+        {"none": {PIXELS: 0.3}, "real": {PIXELS: 1.0}},
+        {"one": {PIXELS: 1.0}, "again": {PIXELS: 1}},
+        {"covered": {PIXELS: 1.0}, "covers": {PIXELS: 2.0}},
+    ],
+)
+def test_cases_of_an_ablation_that_are_the_same_are_refused(defects, short_config):
+    with pytest.raises(ConfigError, match=r"got the same one twice \(case .* and case .*\); leave one out"):
+        all_points(short_config, StudyConfig(defects=defects))
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.dictionaries(
+        st.sampled_from([PIXELS, "estimators.ekf.x"]),
+        st.lists(st.sampled_from([1, 1.0, True, 2, "1", 0.5, [1], [1.0], {"a": 1}]), min_size=1, max_size=3),
+        min_size=1,
+    )
+)
+def test_points_are_refused_or_all_different(short_config, grid):
+    study = StudyConfig(grid={path: tuple(values) for path, values in grid.items()})
+    try:
+        points = all_points(short_config, study)
+    except ConfigError:
+        return
+    records = ({"seed": 0, "point": one.values, "status": "failed", "reason": "x"} for one in points)
+    groups = Trials.of_records(records).groups()
+    assert len({point.digest for point in points}) == len(points) == len(groups)
+    assert all(len(rows) == 1 for _, rows in groups)
+
+
+def test_sections_can_be_swept(short_config):
+    points = all_points(short_config, StudyConfig(grid={"noise.climb": (None, {"walk": 0.1}, {"walk": 0.2})}))
+    assert [point.tree["noise"]["climb"] and point.tree["noise"]["climb"]["walk"] for point in points] == [
+        None,
+        0.1,
+        0.2,
+    ]
+
+
+def test_ids_tell_the_files_apart_that_a_config_names(short_config, tmp_path):
+    run = tmp_path / "run.npz"
+    config = replace(short_config, estimators={"known_map": {"map": str(run)}})
+    found = {*ids(config, seeds=range(1))}
+    for text in ("one", "two"):
+        run.write_text(text, encoding="utf-8")
+        found |= {*ids(config, seeds=range(1))}
+    assert len(found) == 3
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")))
+def test_the_points_of_what_comes_along_differ(path):
+    config = configuration.load(path)
+    if config.study is not None:
+        assert all_points(config, config.study)

@@ -1,5 +1,6 @@
 """A study on a real scheduler and real workers: what dies, is missing or is another version."""
 
+import asyncio
 import os
 import resource
 import shutil
@@ -7,17 +8,30 @@ import signal
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
 import psutil
 import pytest
+from distributed.comm import connect
+from distributed.security import Security
 from threadpoolctl import threadpool_info
 
-from tests.study.processes import ROOT, address, environment, python, scheduler, until, worker
+from tests.study.processes import (
+    ROOT,
+    address,
+    credentials,
+    environment,
+    python,
+    scheduler,
+    until,
+    worker,
+    workers_of,
+)
 from vislam import config as configuration
-from vislam.comparison import code_digest
 from vislam.errors import ConfigError, DataError
+from vislam.identity import code_digest
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.plan import Plan
 from vislam.study.points import Point, all_trials
@@ -42,7 +56,7 @@ def logged(folder, seconds):
         (folder / f"start-{seed}-{os.getpid()}").touch()
         time.sleep(seconds)
         (folder / f"end-{seed}-{os.getpid()}").touch()
-        return {"status": "done", "code": code}
+        return {"status": "done", "code": code, "inputs": ""}
 
     return work
 
@@ -162,22 +176,21 @@ def test_a_worker_without_the_package_that_comes_later_drops_out(tmp_path):
 
 
 def test_a_killed_driver_leaves_no_process_and_its_study_goes_on(tmp_path):
-    saved = tmp_path / "out"
     with command(tmp_path, "--workers", "2") as study:
-        until(lambda: len(list(saved.glob("*/trials/*.json"))) >= 5)
+        until(lambda: len(saved(tmp_path)) >= 5)
         family = psutil.Process(study.pid).children(recursive=True)
         study.send_signal(signal.SIGKILL)
         assert len(family) >= 2
         _, alive = psutil.wait_procs(family, timeout=20)
         assert alive == []
-    finished = {path: path.stat().st_mtime_ns for path in saved.glob("*/trials/*.json")}
+    finished = {path: path.stat().st_mtime_ns for path in saved(tmp_path)}
     assert 5 <= len(finished) < 40
     with command(tmp_path, "--workers", "2") as study:
         out, error = study.communicate(timeout=120)
     assert (study.returncode, error) == (0, "")
     assert f"40 trials, {len(finished)} of them are finished" in out
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
-    assert len(list(saved.glob("*/trials/*.json"))) == 40
+    assert len(saved(tmp_path)) == 40
 
 
 def test_workers_of_this_machine_have_one_blas_thread_and_have_imported_the_solvers(monkeypatch):
@@ -202,6 +215,144 @@ def test_a_file_system_that_takes_no_more_ends_the_study_with_a_line(tmp_path):
     assert "cannot be written (File too large); finished trials are kept" in error
     assert len(error.splitlines()) == 1
     assert not list((tmp_path / "out").glob("*/trials/*"))
+
+
+def saved(folder):
+    return list((folder / "out").glob("*/trials/*.json"))
+
+
+def reach(where, security):
+    """Open a connection as a client does, and close it."""
+
+    async def handshake():
+        comm = await connect(where, timeout=5, **security.get_connection_args("client"))
+        await comm.close()
+
+    asyncio.run(handshake())
+
+
+def test_workers_of_this_machine_are_nobody_elses():
+    with Cluster(workers=1).connect() as client:
+        places = [client.scheduler.address, *client.nthreads()]
+        assert len(places) == 2
+        for place in places:
+            assert place.startswith("tls://127.0.0.1:")
+            reach(place, client.security)
+            for where, security in (
+                (place.replace("tls", "tcp"), Security()),
+                (place, Security.temporary()),
+            ):
+                with pytest.raises(OSError, match=r"(?i)tcp|tls"):
+                    reach(where, security)
+
+
+def test_a_scheduler_by_tls_takes_who_has_its_credentials(tmp_path):
+    ours, theirs = credentials(tmp_path / "pem")
+    others, _ = credentials(tmp_path / "others")
+    host = ("--host", "tls://127.0.0.1")
+    with scheduler(tmp_path, *host, *theirs) as (_, file), worker(file, *theirs):
+        assert address(file).startswith("tls://")
+        with command(tmp_path, "--scheduler", address(file), *ours, "--set", "study.seeds=3") as study:
+            out, error = study.communicate(timeout=120)
+        assert (study.returncode, error) == (0, "")
+        assert "3 trials, 0 of them are finished" in out
+        for given in ((), others):
+            with command(tmp_path, "--scheduler-file", file, *given) as study:
+                _, error = study.communicate(timeout=120)
+            assert study.returncode == 2
+            assert "no Dask scheduler answers there" in error
+            assert len(error.splitlines()) == 1
+
+
+def test_the_credentials_may_come_from_the_configuration_of_dask(tmp_path):
+    _, theirs = credentials(tmp_path / "pem")
+    names = {"CA_FILE": "cert", "CLIENT__CERT": "cert", "CLIENT__KEY": "key"}
+    env = environment() | {
+        f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(tmp_path / "pem" / f"{file}.pem")
+        for name, file in names.items()
+    }
+    with (
+        scheduler(tmp_path, "--host", "tls://127.0.0.1", *theirs) as (_, file),
+        worker(file, *theirs),
+        command(tmp_path, "--scheduler-file", file, "--set", "study.seeds=2", env=env) as study,
+    ):
+        _, error = study.communicate(timeout=120)
+    assert (study.returncode, error) == (0, "")
+
+
+def test_a_scheduler_whose_workers_are_all_gone_ends_the_study_with_what_there_is(tmp_path):
+    with (
+        scheduler(tmp_path) as (_, file),
+        worker(file) as only,
+        command(tmp_path, "--scheduler-file", file, "--wait-for-workers", "8") as study,
+    ):
+        until(lambda: len(saved(tmp_path)) >= 3)
+        only.kill()
+        out, error = study.communicate(timeout=120)
+    assert (study.returncode, error) == (1, "")
+    assert "all workers are gone; waiting 8 s for others\n" in out
+    assert "all workers are gone, for 8 s now; what has finished is kept\n" in out
+    kept = len(saved(tmp_path))
+    assert 3 <= kept < 40
+    assert f"{40 - kept} trials were lost with their workers, or there was none left for them" in out
+    (table,) = (tmp_path / "out").glob("*/trials.csv")
+    assert len(table.read_text(encoding="utf-8").splitlines()) == 1 + kept
+    assert table.with_name("study.html").is_file()
+
+
+def test_workers_that_are_killed_as_they_start_end_the_study_with_lines(tmp_path):
+    with command(tmp_path, "--workers", "2") as study:
+        while study.poll() is None:
+            for process in workers_of(study):
+                with suppress(psutil.Error):
+                    process.kill()
+            time.sleep(0.02)
+        out, error = study.communicate(timeout=60)
+    assert (study.returncode, error) == (1, "")
+    assert [
+        line.partition(";")[2] for line in out.splitlines() if line.startswith("a worker died as it")
+    ] == [
+        *(f" starting others ({number} of 3)" for number in (1, 2, 3)),
+        " what has finished is kept",
+    ]
+    assert "40 trials were lost with their workers, or there was none left for them" in out
+
+
+def test_workers_that_are_killed_once_are_replaced(tmp_path):
+    with command(tmp_path, "--workers", "2") as study:
+        until(lambda: workers_of(study))
+        workers_of(study)[0].kill()
+        until(lambda: len(saved(tmp_path)) >= 3)
+        for process in workers_of(study):
+            process.kill()
+        out, error = study.communicate(timeout=120)
+    assert (study.returncode, error) == (0, "")
+    assert "a worker died as it started (Nanny failed to start.); starting others (1 of 3)\n" in out
+    assert len(saved(tmp_path)) == 40
+
+
+def started(study, folder):
+    return workers_of(study)
+
+
+def running(study, folder):
+    return saved(folder)
+
+
+@pytest.mark.parametrize("moment", [started, running])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_one_line_and_no_worker(moment, number, tmp_path):
+    """A terminal sends Ctrl-C to the workers, too."""
+    with command(tmp_path, "--workers", "2", start_new_session=True) as study:
+        until(lambda: moment(study, tmp_path))
+        family = workers_of(study)
+        if number == signal.SIGINT:
+            os.killpg(study.pid, number)
+        else:
+            study.send_signal(number)
+        _, error = study.communicate(timeout=60)
+        assert (study.returncode, error) == (130, "vislam: interrupted\n")
+        assert psutil.wait_procs(family, timeout=10)[1] == []
 
 
 def test_a_thousand_trials_take_no_more_memory_than_a_hundred(tmp_path):

@@ -10,9 +10,12 @@ import pytest
 
 from tests.conftest import recorded
 from vislam import config as configuration
+from vislam.command import answer
+from vislam.errors import Interrupted
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
+from vislam.study.connection import WorkersGone
 from vislam.study.plan import Plan
 from vislam.study.trial import nothing, run_trial
 from vislam.terminal import Terminal
@@ -50,7 +53,7 @@ def ran(monkeypatch):
         def __exit__(self, *_):
             return None
 
-    def run_here(client, trials):
+    def run_here(client, trials, **how):
         for trial in trials:
             seen.append((trial.point.values, trial.seed))
             yield trial, run_trial(trial.point.tree, trial.seed)
@@ -140,7 +143,7 @@ def test_only_the_metrics_that_are_asked_for_are_columns(ran):
 
 
 def test_a_failing_trial_is_a_row(ran, monkeypatch, capsys):
-    def run_here(client, trials):
+    def run_here(client, trials, **how):
         for trial in trials:
             tree = trial.point.tree if trial.seed == 5 else {"name": "bad"}
             yield trial, run_trial(tree, trial.seed)
@@ -155,12 +158,179 @@ def test_a_failing_trial_is_a_row(ran, monkeypatch, capsys):
     assert [[cell.strip() for cell in line[3:5]] for line in shown] == [["2", "1"], ["2", "1"]]
 
 
+def incomplete(name, reason):
+    """Trials in which an estimator breaks off, in this process."""
+
+    def run_here(client, trials, **how):
+        for trial in trials:
+            found = run_trial(trial.point.tree, trial.seed)
+            told = reason(trial.seed)
+            for one in found["runs"] if name is None else [name]:
+                found["runs"][one] = {"complete": False, "error": told}
+            scored = {one for one, run in found["runs"].items() if run["complete"]}
+            for key in ("metrics", "statistics"):
+                found[key] = [one for one in found[key] if scored.issuperset(one["estimator"].split("|"))]
+            yield trial, found
+
+    return run_here
+
+
+def test_a_study_whose_trials_all_fail_says_why_and_exits_1(ran, monkeypatch, capsys):
+    def run_here(client, trials, **how):
+        for trial in trials:
+            yield trial, run_trial({"name": "bad" if trial.seed == 5 else 3}, trial.seed)
+
+    monkeypatch.setattr(conduct, "run_trials", run_here)
+    assert study() == 1
+    said = capsys.readouterr()
+    assert "2 of 4 trials: ConfigError: data: " in said.out
+    assert "2 of 4 trials: ConfigError: name: " in said.out
+    assert "┏" not in said.out
+    assert said.err.startswith(
+        "vislam: no estimator has finished in any of 4 trials; the first: ConfigError: "
+    )
+    assert len(said.err.splitlines()) == 1
+    assert [row["status"] for row in table()] == ["failed"] * 4
+    assert only("*/study.html").is_file()
+    # It says so again without running any.
+    assert study() == 1
+    assert "4 trials, 4 of them are finished" in capsys.readouterr().out
+
+
+def test_a_study_in_which_no_run_finishes_says_why_and_exits_1(ran, monkeypatch, capsys):
+    monkeypatch.setattr(conduct, "run_trials", incomplete(None, lambda seed: f"frame {seed}: lost"))
+    assert study() == 1
+    said = capsys.readouterr()
+    # Reasons that differ in the frame are one.
+    assert "4 of 4 trials: dead_reckoning: frame 5: lost; ekf: frame 5: lost\n" in said.out
+    assert "┏" not in said.out
+    assert "no estimator has finished in any of 4 trials" in said.err
+
+
+def test_a_study_in_which_some_runs_finish_counts_the_reasons_of_the_others(ran, monkeypatch, capsys):
+    monkeypatch.setattr(
+        conduct, "run_trials", incomplete("ekf", lambda seed: "x" * 400 if seed == 5 else "\x1b[2J")
+    )
+    assert study() == 0
+    said = capsys.readouterr()
+    assert "┏" in said.out
+    assert f"2 of 4 trials: ekf: {'x' * 292}...\n" in said.out
+    assert "2 of 4 trials: ekf: [2J\n" in said.out
+    assert "\x1b" not in said.out
+
+
+def test_no_more_than_a_few_reasons_are_shown(ran, monkeypatch, capsys):
+    kinds = iter("abcdefgh")
+    monkeypatch.setattr(conduct, "run_trials", incomplete("ekf", lambda seed: next(kinds)))
+    assert study("--set", "study.seeds=4") == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if " of 8 trials: " in line]
+    assert told == [
+        *(f"1 of 8 trials: ekf: {kind}" for kind in "abcde"),
+        "3 of 8 trials: 3 other reasons",
+    ]
+
+
+def test_files_that_are_of_other_trials_are_told_and_run_again(ran, capsys):
+    assert study() == 0
+    whole = table()
+    files = [only("*/trials") / f"{row['id']}.json" for row in whole]
+    files[0].write_bytes(files[1].read_bytes())
+    found = json.loads(files[2].read_text(encoding="utf-8"))
+    files[2].write_text(json.dumps({**found, "values": {"noise.pixel_sigma_px": 0.5}}), encoding="utf-8")
+    files[3].write_text("[" * 10_000, encoding="utf-8")
+    ran.clear()
+    capsys.readouterr()
+    assert study() == 0
+    assert "3 files of trials are not taken" in capsys.readouterr().out
+    assert len(ran) == 3
+    assert [row["ekf.ate_rmse"] for row in table()] == [row["ekf.ate_rmse"] for row in whole]
+
+
+@pytest.mark.parametrize("values", [(1e308,) * 4, (1e308, -1e308, 0.0, 5e-324), (0.0,) * 4, (None,) * 4])
+def test_numbers_beyond_all_measure_end_in_a_page(values, ran, capsys):
+    assert study() == 0
+    for path, value in zip(sorted(only("*/trials").iterdir()), values, strict=True):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        for metric in found["metrics"]:
+            metric["value"] = value
+        path.write_text(json.dumps(found), encoding="utf-8")
+    only("*/study.html").unlink()
+    assert study() == 0
+    page = only("*/study.html").read_text(encoding="utf-8")
+    assert ("could not be drawn" in page) == (values[0] == values[1] == 1e308)
+    assert capsys.readouterr().err == ""
+
+
+def straight(path, *, step):
+    """A file of poses along a line, in KITTI's format."""
+    rows = ["1 0 0 0 0 1 0 0 0 0 1 %.1f" % (step * k) for k in range(60)]
+    Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def test_a_study_runs_again_if_a_file_that_it_reads_has_changed(ran):
+    Path("rec.yaml").write_text(
+        "name: rec\n"
+        "data: {simulation: {frames: 30, tracks_in_view: 15, path: recorded, recorded: "
+        '{file: poses.txt, format: kitti, pose_of: left_camera, up: "-y"}}}\n'
+        "estimators: {dead_reckoning: {}}\n"
+        "study: {seeds: 1}\n",
+        encoding="utf-8",
+    )
+    Path("data").mkdir()
+    lengths = []
+    for step in (1.0, 2.0, 2.0):
+        straight("data/poses.txt", step=step)
+        assert main(["--config", "rec.yaml", "--out", "out"]) == 0
+        newest = max(Path("out").glob("*/trials.csv"), key=lambda path: path.stat().st_mtime_ns)
+        with newest.open(encoding="utf-8", newline="") as file:
+            lengths += [float(row["dead_reckoning.path_length"]) for row in csv.DictReader(file)]
+    assert len(ran) == 2
+    assert lengths[1] == lengths[2] == pytest.approx(2.0 * lengths[0], rel=0.01)
+
+
+def test_workers_that_are_gone_are_started_again_so_often(ran, monkeypatch, capsys):
+    whole, starts = conduct.run_trials, []
+
+    def die(client, trials, **how):
+        starts.append(1)
+        yield next(whole(client, trials))
+        raise WorkersGone("all workers are gone")
+
+    monkeypatch.setattr(conduct, "run_trials", die)
+    assert study("--set", "study.seeds=3") == 1
+    said = capsys.readouterr()
+    assert len(starts) == len(ran) == 4
+    for number in (1, 2, 3):
+        assert f"all workers are gone; starting others ({number} of 3)\n" in said.out
+    assert "all workers are gone; what has finished is kept\n" in said.out
+    assert "2 trials were lost with their workers, or there was none left for them" in said.out
+    assert "┏" in said.out
+    assert len(table()) == 4
+    monkeypatch.setattr(conduct, "run_trials", whole)
+    assert study("--set", "study.seeds=3") == 0
+    assert len(ran) == 6
+
+
+def test_workers_of_a_scheduler_are_not_ours_to_start(ran, monkeypatch, capsys):
+    starts = []
+
+    def die(client, trials, **how):
+        starts.append(how["patience"])
+        raise WorkersGone("all workers are gone")
+        yield
+
+    monkeypatch.setattr(conduct, "run_trials", die)
+    assert study("--scheduler", "tls://host:1", "--wait-for-workers", "7") == 1
+    assert starts == [7.0]
+    assert "all workers are gone; what has finished is kept\n" in capsys.readouterr().out
+
+
 def test_lost_trials_are_run_again(ran, monkeypatch, capsys):
     whole = conduct.run_trials
 
-    def lose(client, trials):
+    def lose(client, trials, **how):
         for trial in trials:
-            yield trial, {**nothing(LOST, "KilledWorker"), "seconds": None, "code": ""}
+            yield trial, {**nothing(LOST, "KilledWorker"), "seconds": None, "code": "", "inputs": ""}
 
     monkeypatch.setattr(conduct, "run_trials", lose)
     assert study() == 1
@@ -173,7 +343,7 @@ def test_lost_trials_are_run_again(ran, monkeypatch, capsys):
 def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypatch, capsys):
     whole = conduct.run_trials
 
-    def interrupted(client, trials):
+    def interrupted(client, trials, **how):
         yield next(whole(client, trials))
         raise KeyboardInterrupt
 
@@ -182,6 +352,19 @@ def test_an_interrupted_study_keeps_what_is_finished_and_exits_130(ran, monkeypa
     assert capsys.readouterr().err == "vislam: interrupted\n"
     assert len(list(only("*/trials").glob("*.json"))) == 1
     assert not list(Path("out").glob("*/trials.csv"))
+
+
+@pytest.mark.parametrize(("cause", "code"), [(Interrupted("SIGTERM"), 130), (None, None)])
+def test_a_signal_in_the_middle_of_an_import_is_an_interrupt(cause, code, capsys):
+    def imported():
+        raise ImportError("initialization failed") from cause
+
+    if code is None:
+        with pytest.raises(ImportError, match="initialization failed"):
+            answer(imported, verbose=False)
+        return
+    assert answer(imported, verbose=False) == code
+    assert capsys.readouterr().err == "vislam: interrupted\n"
 
 
 BAD = {
@@ -196,6 +379,15 @@ BAD = {
     "swept key": (["--set", "study.grid={noise.drift: [1]}"], "study: noise.drift: unknown key"),
     "option": (["--set", "study.grid={estimators.ekf.gates: [true]}"], "estimators.ekf.gates: unknown key"),
     "workers": (["--workers", "0"], "--workers must be at least 1"),
+    "patience": (["--wait-for-workers", "nan"], "--wait-for-workers must be > 0 and finite [s], got nan"),
+    "half of the credentials": (["--tls-ca", "x", "--scheduler", "tls://x:1"], "go together: give all three"),
+    "credentials": (["--tls-ca", "x", "--tls-cert", "x", "--tls-key", "x"], "--tls-ca is for --scheduler"),
+    "equal numbers": (
+        ["--set", "study.grid={noise.pixel_sigma_px: [1, 2, 1.0]}"],
+        "got the same one twice (noise.pixel_sigma_px 1 and noise.pixel_sigma_px 1.0); leave one out",
+    ),
+    "a date": (["--set", "study.grid={estimators.ekf.gate: [2026-01-01]}"], "study: expected numbers, texts"),
+    "a seed beyond all": (["--seed", "9223372036854775807"], "seed: must be below 9223372036854775808"),
     "place": (["--out", "small.yaml"], "cannot be written there"),
 }
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 
 from tests.study.synthetic import record
-from vislam.comparison import code_digest
 from vislam.config import Config, DataConfig
+from vislam.identity import code_digest
 from vislam.simulation import SimulationConfig
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.conduct import conclude
@@ -21,20 +21,25 @@ from vislam.study.settings import StudyConfig
 from vislam.terminal import Terminal
 
 NUMBERS = (100, 1000)
+RUNS = ("dead_reckoning", "ekf", "eks", "isam2")
 
 
 def large(tree, seed):
     """Result with as many numbers as four estimators leave."""
     values = {f"metric_{index}": seed + 0.1 * index for index in range(110)}
     values |= {"ate_rmse": 1.0 + 0.01 * seed, "nees_pose": 1.0}
-    found = record(seed, {}, dict.fromkeys("abcd", values))
-    return {**found, "statistics": [], "seconds": 0.0, "code": code_digest()}
+    found = record(seed, {}, dict.fromkeys(RUNS, values))
+    del found["point"]
+    return {**found, "statistics": [], "seconds": 0.0, "code": code_digest(), "inputs": ""}
 
 
 def planned(number):
     return Plan.of(
         Config(
-            name="thousand", data=DataConfig(simulation=SimulationConfig()), study=StudyConfig(seeds=number)
+            name="thousand",
+            data=DataConfig(simulation=SimulationConfig()),
+            estimators={name: {} for name in RUNS},
+            study=StudyConfig(seeds=number),
         )
     )
 

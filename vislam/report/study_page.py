@@ -1,12 +1,17 @@
 """The self-contained page of a study."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import jinja2
+from markupsafe import Markup
 
+from vislam.errors import first_line
 from vislam.files import replace_whole
 from vislam.report import study_ablation
+from vislam.report.figures import Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.study_figures import all_figures
 from vislam.report.study_labels import errors
@@ -22,6 +27,9 @@ from vislam.report.table import Table
 from vislam.study.ablation import Ablation
 from vislam.study.answers import CLAIMED, trial_bound
 from vislam.study.trials import Trials
+
+_UNDRAWABLE = (ArithmeticError, ValueError)
+"""What Matplotlib raises where numbers are beyond what an axis holds, or a text is no label."""
 
 
 def write_study_page(
@@ -48,18 +56,19 @@ def write_study_page(
     ablation : Ablation, optional
         Whose cases the points are.
     """
-    told, tables, drawings = verdict(trials), [], all_figures(trials)
+    told, tables, draw_all = verdict(trials), [], partial(all_figures, trials)
     if ablation is not None and errors(trials):
         told = study_ablation.verdict(trials, ablation)
         tables = [
             study_ablation.mending_table(trials, ablation),
             study_ablation.defects_table(trials, ablation),
         ]
-        drawings = study_ablation.ablation_figures(trials, ablation)
+        draw_all = partial(study_ablation.ablation_figures, trials, ablation)
+    figures, lacking = _drawn(draw_all)
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     text = environment.from_string(part("study.html")).render(
         title=title,
-        notes=notes,
+        notes=[*notes, *lacking],
         verdict=told,
         ablation=tables,
         errors=errors_table(trials),
@@ -69,7 +78,7 @@ def write_study_page(
         failed=failed_table(trials),
         bound=f"{trial_bound():.2f}",
         claimed=f"{100.0 * CLAIMED:.2f}",
-        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in drawings.items()],
+        figures=figures,
         config=config,
         provenance=provenance,
         draw=draw_table,
@@ -78,3 +87,24 @@ def write_study_page(
     )
     with replace_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _drawn(
+    draw_all: Callable[[], Mapping[str, Drawing]],
+) -> tuple[list[tuple[str, Drawing, Markup]], list[str]]:
+    """Figures as elements of the page, and a line for what no axis can hold, such as an error of 1e200 m."""
+    figures, lacking = [], []
+    with warnings.catch_warnings():
+        # That nothing on a logarithmic axis is positive shows in the figure.
+        warnings.simplefilter("ignore")
+        try:
+            drawings = draw_all()
+        except _UNDRAWABLE as error:
+            drawings = {}
+            lacking.append(f"no figure could be drawn ({first_line(error)})")
+        for name, drawing in drawings.items():
+            try:
+                figures.append((name, drawing, inline_svg(name, drawing)))
+            except _UNDRAWABLE as error:
+                lacking.append(f"the figure {drawing.title} could not be drawn ({first_line(error)})")
+    return figures, lacking

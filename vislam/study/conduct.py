@@ -6,23 +6,29 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vislam import config as configuration
 from vislam.comparison import provenance
 from vislam.config import Config, parse
+from vislam.errors import DivergedError
 from vislam.report.study_ablation import DETAILS, short_table
 from vislam.report.study_labels import ERRORS, TIME, errors
 from vislam.report.study_page import write_study_page
 from vislam.study.ablation import CASE, slug
 from vislam.study.answers import COVERAGE, NEES
 from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
+from vislam.study.connection import WorkersGone
 from vislam.study.folder import StudyFolder, told
 from vislam.study.plan import Plan
-from vislam.study.summary import HEADER, rows_of
+from vislam.study.summary import HEADER, clean, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
 from vislam.study.trials import Trials
 from vislam.terminal import Terminal
 
 SCHEMA_VERSION = 1
+_STARTS = 4
+"""How often workers of this machine are started, the first time included."""
 _SHOWN = frozenset((*ERRORS, *DETAILS, TIME, NEES, COVERAGE))
 """Metrics that the table and the page look at: a trial has hundreds, and each costs memory."""
 
@@ -41,24 +47,53 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) 
     total = len(plan.points) * plan.study.seeds
     missing = sum(folder.find(trial) is None for trial in plan.trials())
     terminal.note(f"{total} trials, {total - missing} of them are finished")
+    if folder.refused:
+        terminal.note(
+            f"{len(folder.refused)} files of trials are not taken, as they are not whole or say that they "
+            "are of another trial; these trials run again"
+        )
     if missing:
         _run_missing(plan, folder, cluster, terminal, missing)
-    return conclude(plan, folder, terminal)
+    # Errors of 1e200 m, of runs that blew up, have an infinite mean.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return conclude(plan, folder, terminal)
 
 
 def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
-    """Run the ``number`` trials that have no result yet."""
-    missing = (trial for trial in plan.longest_first().trials() if folder.find(trial) is None)
-    with cluster.connect() as client:
-        terminal.note(watch_at(client))
-        with terminal.progress("trials", number) as bar:
-            for finished, (trial, result) in enumerate(run_trials(client, missing), start=1):
-                folder.save(trial, result)
-                bar.update(0, completed=finished)  # type: ignore[arg-type]
+    """Run the ``number`` trials that have no result yet, as far as there are workers for them."""
+    seen: set[str] = set()
+    for start in range(_STARTS):
+        try:
+            with cluster.connect() as client:
+                terminal.note(watch_at(client))
+                missing = (
+                    trial
+                    for trial in plan.longest_first().trials()
+                    if trial.id not in seen and folder.find(trial) is None
+                )
+                running = run_trials(client, missing, patience=cluster.patience, say=terminal.note)
+                with terminal.progress("trials", number) as bar:
+                    for trial, result in running:
+                        folder.save(trial, result)
+                        seen.add(trial.id)
+                        bar.update(0, completed=len(seen))  # type: ignore[arg-type]
+            return
+        except WorkersGone as gone:
+            last = not cluster.local or start == _STARTS - 1
+            what = "what has finished is kept" if last else f"starting others ({start + 1} of {_STARTS - 1})"
+            terminal.note(f"{gone}; {what}")
+            if last:
+                return
 
 
 def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
-    """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials."""
+    """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials.
+
+    Raises
+    ------
+    DivergedError
+        If there are trials and no estimator has finished in any of them.
+    """
     swept = tuple(plan.points[0].values)
     folder.write_table(plan.trials, swept=swept, metrics=plan.study.metrics)
     counts: Counter[str] = Counter()
@@ -91,14 +126,26 @@ def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
             ablation=plan.ablation,
         )
     if lost:
-        terminal.note(f"{lost} trials were lost with their workers; run the study again to repeat them")
+        terminal.note(
+            f"{lost} trials were lost with their workers, or there was none left for them; run the study "
+            "again to repeat them"
+        )
     terminal.note(f"trials: {folder.path / 'trials.csv'}")
     terminal.note(f"study: {page}")
+    if len(trials) and not trials.any_complete:
+        first = next(filter(None, trials.reason))
+        raise DivergedError(
+            f"no estimator has finished in any of {len(trials)} trials; the first: {clean(first)}"
+        )
     return lost
 
 
 def _show(plan: Plan, trials: Trials, terminal: Terminal, *, title: str) -> None:
-    """Print the table."""
+    """Print the table, if it has a number, and why trials failed."""
+    for line in reasons_of(trials):
+        terminal.note(line)
+    if not trials.any_complete:
+        return
     if plan.ablation is not None and errors(trials):
         table = short_table(trials, plan.ablation)
         terminal.rows(table.header, table.rows, title=title)

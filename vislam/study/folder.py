@@ -10,27 +10,39 @@ from typing import Any
 from vislam import config as configuration
 from vislam.errors import DataError, first_line
 from vislam.files import check_writable, replace_whole
+from vislam.identity import code_digest
+from vislam.study import saved
 from vislam.study.points import Trial
+from vislam.study.saved import Result
 from vislam.study.trial import DONE, FAILED
-
-Result = dict[str, Any]
 
 
 class StudyFolder:
-    """Results of trials under ``trials/``, by their id; one that is there is finished."""
+    """Results of trials under ``trials/``, by their id; one that is there is finished.
+
+    Attributes
+    ----------
+    path : Path
+    refused : set of str
+        Ids of trials whose files were not taken, as they are not whole or say that they are of another.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.refused: set[str] = set()
         check_writable(path / "study.json")
 
     def find(self, trial: Trial) -> Result | None:
-        """Result of a finished trial; None if it is not there, not whole, or was lost with its worker."""
-        try:
-            found = json.loads(self._file(trial).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        """Result of a finished trial; None if it is not there, not taken, or was lost with its worker."""
+        path = self._file(trial)
+        if not path.exists():
             return None
-        known = isinstance(found, dict) and found.get("status") in (DONE, FAILED)
-        return found if known else None
+        try:
+            found = saved.read(path, trial, code=code_digest())
+        except saved.Refused:
+            self.refused.add(trial.id)
+            return None
+        return found if found["status"] in (DONE, FAILED) else None
 
     def save(self, trial: Trial, result: Result) -> None:
         """Write the result of a trial, whole or not at all; DataError if it cannot be."""

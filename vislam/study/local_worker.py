@@ -12,3 +12,5 @@ import vislam.study.trial  # noqa: F401
 def dask_setup(worker: Any) -> None:
     """Leave Ctrl-C to the study, which then ends its workers; Dask calls this in the worker's main thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # The process that started this one had its signals wait; as its parent dies, it is ended by one.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})

@@ -1,19 +1,22 @@
 """What a study consists of: its points, its trials, and the data that they are of."""
 
-import hashlib
 import json
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from vislam.comparison import build_estimators, code_digest
+from vislam.comparison import build_estimators
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
-from vislam.errors import ConfigError
+from vislam.errors import ConfigError, DataError, Interrupted, first_line
+from vislam.identity import code_digest, combine
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig
 
-_ID_DIGITS = 10
+_log = logging.getLogger("vislam.study")
+_MOST = 1 << 63
+"""Bound of the seeds, which a table holds as 64-bit integers."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ class Plan:
         if config.study is None:
             raise ConfigError("study: the config has no such section; see configs/monte_carlo.yaml for one")
         study = config.study
+        if config.seed + study.seeds > _MOST:
+            raise ConfigError(f"seed: must be below {_MOST} with all that follow it, got {config.seed}")
         config, data, about = _settle_data(config, seeds=study.seeds)
         return cls(config, study, all_points(config, study), data, about)
 
@@ -69,16 +74,22 @@ class Plan:
 
     @property
     def id(self) -> str:
-        """Hash of config, recording and code; with more seeds a study goes on, so they do not count."""
+        """Hash of config, code and all files; with more seeds a study goes on, so they do not count."""
         lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
-        text = json.dumps(asdict(lasting)) + code_digest() + self.data
-        return f"{self.config.name}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
+        inputs = sorted({point.inputs for point in self.points})
+        return f"{self.config.name}-{combine(json.dumps(asdict(lasting)), code_digest(), self.data, *inputs)}"
 
     def refuse_bad_options(self) -> None:
         """Raise ConfigError or DataError for what would make every trial of a point fail."""
         dataset = open_dataset(parse(Config, self.points[0].tree).data, seed=self.config.seed)
         for point in self.points:
-            build_estimators(parse(Config, point.tree), dataset)
+            try:
+                build_estimators(parse(Config, point.tree), dataset)
+            except (ConfigError, DataError, Interrupted):
+                raise
+            except BaseException as error:
+                # Whatever somebody's estimator raises is for its trials to tell and to count.
+                _log.info("%s: %s", point.label, first_line(error))
 
 
 def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:

@@ -13,10 +13,13 @@ from scipy.stats import qmc
 
 from vislam import config as configuration
 from vislam.config import Config
-from vislam.errors import ConfigError
+from vislam.data.find import search_path
+from vislam.errors import ConfigError, first_line
+from vislam.identity import inputs_digest
 from vislam.members import members
 from vislam.study.ablation import CASE, Ablation, changes
 from vislam.study.settings import StudyConfig
+from vislam.study.trials import hashable
 
 _ID_DIGITS = 16
 _NOT_SWEPT = ("seed", "name", "study", "checks", "blas_threads")
@@ -33,25 +36,34 @@ class Point:
         What it puts in place of the config's own, by dotted path.
     tree : dict
         The effective config as plain data, without what a trial does not look at.
+    inputs : str
+        Hash of the content of the files that the config names; empty if it names none.
     """
 
     values: dict[str, Any]
     tree: dict[str, Any]
+    inputs: str = ""
 
     @classmethod
     def of(
         cls, config: Config, values: Mapping[str, Any], *, changes: Mapping[str, Any] | None = None
     ) -> "Point":
         """Lay values over a config, or what they stand for; ConfigError if it takes them not."""
-        tree = _plain(replace(config, study=None, checks=(), seed=0, blas_threads=1))
         try:
+            tree = _plain(replace(config, study=None, checks=(), seed=0, blas_threads=1))
             for path, value in (values if changes is None else changes).items():
                 configuration.put(tree, path, deepcopy(value))
             found = configuration.parse(Config, tree)
             members(found)
+            tree = _plain(found)
         except ConfigError as error:
             raise ConfigError(f"study: {error}") from None
-        return cls(dict(values), _plain(found))
+        return cls(dict(values), tree, inputs_digest(tree, search_path(None)))
+
+    @property
+    def label(self) -> str:
+        """Its values in one line."""
+        return ", ".join(f"{path} {configuration.inline(value)}" for path, value in self.values.items())
 
     @cached_property
     def digest(self) -> str:
@@ -61,7 +73,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Trial:
-    """A point with a seed; the id is a hash of both and of the code."""
+    """A point with a seed; the id is a hash of both, of the code and of the files that are read."""
 
     id: str
     point: Point
@@ -74,7 +86,7 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
     Raises
     ------
     ConfigError
-        If the config takes one of them not.
+        If the config takes one of them not, or if two of them are the same.
     """
     swept = [*study.grid, *(study.latin_hypercube.ranges if study.latin_hypercube else {})]
     for path in (*swept, *(path for values in study.defects.values() for path in values)):
@@ -82,11 +94,30 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
             raise ConfigError(f"study: {path} cannot be swept")
     if study.defects:
         cases = Ablation(tuple(study.defects)).cases()
-        return [
+        points = [
             Point.of(config, {CASE: label}, changes=changes(study.defects, present))
             for label, present in cases.items()
         ]
-    return [Point.of(config, values) for values in point_values(study)]
+    else:
+        points = [Point.of(config, values) for values in point_values(study)]
+    _refuse_equal(points)
+    return points
+
+
+def _refuse_equal(points: Sequence[Point]) -> None:
+    """Raise ConfigError if two points are one, which would be run once and counted twice.
+
+    They are if their configs are the same, or their values cannot be told apart, as 1, 1.0 and true.
+    """
+    seen: dict[Any, Point] = {}
+    for point in points:
+        for sign in (point.digest, hashable(list(point.values.items()))):
+            other = seen.setdefault(sign, point)
+            if other is not point:
+                raise ConfigError(
+                    f"study: expected points that differ, got the same one twice ({other.label} and "
+                    f"{point.label}); leave one out"
+                )
 
 
 def point_values(study: StudyConfig) -> Iterator[dict[str, Any]]:
@@ -106,10 +137,15 @@ def all_trials(points: Sequence[Point], *, seeds: range, code: str, data: str = 
     """Trials of the points, in the order of the points; ``data`` is the hash of a recording."""
     for point in points:
         for seed in seeds:
-            text = "|".join([point.digest, str(seed), code, *([data] if data else [])])
+            text = "|".join([point.digest, str(seed), code, *filter(None, (data, point.inputs))])
             yield Trial(hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS], point, seed)
 
 
 def _plain(config: Config) -> dict[str, Any]:
     """Config as what JSON makes of it, so that what is sent elsewhere and what is hashed are the same."""
-    return json.loads(json.dumps(asdict(config)))
+    try:
+        return json.loads(json.dumps(asdict(config)))
+    except TypeError as error:
+        raise ConfigError(
+            f"expected numbers, texts, lists and mappings, got another kind ({first_line(error)}); quote it"
+        ) from None

@@ -39,7 +39,8 @@ class StudyConfig:
     seeds: Count = 50
     """Trials of a point: with the config's seed and those that follow it."""
     grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
-    """Values by dotted path in the config; each is combined with each."""
+    """Values by dotted path in the config; each is combined with each. Two points that are the same, as of 1
+    and 1.0, are refused, here and of an ablation."""
     latin_hypercube: LatinHypercube | None = None
     """Points in place of a grid."""
     defects: dict[str, Annotated[dict[str, Any], Field(min_length=1)]] = Field(default_factory=dict)

@@ -1,4 +1,8 @@
-"""What the terminal shows of a study: a row for each point and estimator."""
+"""What the terminal shows of a study: a row for each point and estimator, and why trials failed."""
+
+import math
+import re
+from collections import Counter
 
 from vislam import config as configuration
 from vislam.study import answers
@@ -7,6 +11,9 @@ from vislam.study.trials import Trials
 
 HEADER = ("point", "estimator", "trials", "failed", "ATE [m]", "95 % interval", "NEES pose", "95 % interval")
 _ERROR = "ate_rmse"
+_MOST_REASONS = 5
+_LONGEST = 300
+"""Characters of a reason that are shown."""
 
 
 def rows_of(trials: Trials) -> list[tuple[str, ...]]:
@@ -26,5 +33,31 @@ def rows_of(trials: Trials) -> list[tuple[str, ...]]:
     return found
 
 
+def reasons_of(trials: Trials) -> list[str]:
+    """How many trials failed, or have runs that did, for which reason, the most frequent first.
+
+    Reasons that differ in their numbers only, such as that of the frame, count as one; the first is shown.
+    """
+    failed = [reason for reason in trials.reason if reason]
+    kinds = [re.sub(r"\d[\d.]*", "0", reason) for reason in failed]
+    shown = dict(zip(reversed(kinds), reversed(failed), strict=True))
+    counts = Counter(kinds).most_common()
+    told = [
+        f"{count} of {len(trials)} trials: {clean(shown[kind])}" for kind, count in counts[:_MOST_REASONS]
+    ]
+    if rest := counts[_MOST_REASONS:]:
+        told.append(f"{sum(count for _, count in rest)} of {len(trials)} trials: {len(rest)} other reasons")
+    return told
+
+
+def clean(reason: str) -> str:
+    """A reason as one line of bounded length that leaves the terminal as it is."""
+    line = " ".join("".join(letter if letter.isprintable() else " " for letter in reason).split())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+
+
 def _cells(found: Estimate | None) -> tuple[str, str]:
-    return ("-", "-") if found is None else (f"{found.value:.3f}", f"{found.low:.3f} to {found.high:.3f}")
+    if found is None:
+        return "-", "-"
+    known = math.isfinite(found.low)
+    return f"{found.value:.3f}", f"{found.low:.3f} to {found.high:.3f}" if known else "-"

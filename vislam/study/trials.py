@@ -43,6 +43,11 @@ class Trials:
     def __len__(self) -> int:
         return len(self.seed)
 
+    @property
+    def any_complete(self) -> bool:
+        """Whether some run of some trial finished."""
+        return any(bool(flags.any()) for flags in self.complete.values())
+
     @classmethod
     def of_records(
         cls, records: Iterable[Mapping[str, Any]], *, keys: Collection[str] | None = None
@@ -119,7 +124,7 @@ class _Reader:
                 f"expected every trial to name the parameters {list(self._point)}, got {list(point)}"
             )
         for path, column in self._point.items():
-            column.append(_hashable(point[path]))
+            column.append(hashable(point[path]))
         self._seed.append(record["seed"])
         self._done.append(record["status"] == "done")
         self._reason.append(_reason(record))
@@ -163,8 +168,11 @@ def is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _hashable(value: Any) -> Any:
-    return tuple(_hashable(item) for item in value) if isinstance(value, list | tuple) else value
+def hashable(value: Any) -> Any:
+    """Value of a parameter as a key: lists as tuples, sections as tuples of their pairs."""
+    if isinstance(value, Mapping):
+        return tuple((name, hashable(item)) for name, item in value.items())
+    return tuple(hashable(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def _reason(record: Mapping[str, Any]) -> str:
