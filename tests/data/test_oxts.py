@@ -96,6 +96,37 @@ def test_repeated_stamps_are_dropped_and_counted(tmp_path):
     assert np.allclose(read.twist, twist, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["{}.txt", "{:03d}.txt", "{:010d}.txt", "{:020d}.txt"])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_samples_are_in_the_order_of_their_numbers(tmp_path, name, mixed):
+    sequence, _ = simulate(DRIVE, seed=1, name="drive")
+    folder = write_oxts(tmp_path / "oxts", sequence.stamp, sequence.twist)
+    for k in range(len(sequence)):
+        other = name if not mixed or k % 3 else "{:06d}.txt"
+        (folder / "data" / f"{k:010d}.txt").rename(folder / "data" / other.format(k))
+    read = with_oxts(sequence, folder, camera_timestamps=None)
+    assert np.allclose(read.twist, sequence.twist, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["notes.txt", "1.5.txt", "-3.txt", "\N{SUPERSCRIPT TWO}.txt", "9" * 25 + ".txt"]
+)
+def test_a_name_that_is_no_number_is_one_line(tmp_path, name):
+    sequence, _ = simulate(DRIVE, seed=1, name="drive")
+    folder = write_oxts(tmp_path / "oxts", sequence.stamp, sequence.twist)
+    (folder / "data" / name).write_text("1 " * 30)
+    assert "must be named by the number of its sample" in refused(tmp_path, sequence, camera=False)
+
+
+def test_two_files_of_one_number_are_one_line(tmp_path):
+    sequence, _ = simulate(DRIVE, seed=1, name="drive")
+    folder = write_oxts(tmp_path / "oxts", sequence.stamp, sequence.twist)
+    (folder / "data" / "7.txt").write_text("1 " * 30)
+    assert "must be the only sample of its number, got 0000000007.txt" in refused(
+        tmp_path, sequence, camera=False
+    )
+
+
 def refused(tmp_path, sequence, *, camera=True):
     with pytest.raises(DataError) as caught:
         with_oxts(sequence, tmp_path / "oxts", camera_timestamps=tmp_path / "camera.txt" if camera else None)

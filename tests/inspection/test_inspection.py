@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.clement import converted
 from tests.conftest import recorded
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data import load_course_npz
@@ -16,6 +17,7 @@ from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired
 from vislam.inspection.mounting import candidates
 from vislam.repair import RepairConfig
+from vislam.report.inspection import figures
 from vislam.simulation import SimulationConfig
 
 CLEAN = SimulationConfig(
@@ -159,7 +161,8 @@ def test_rates_of_false_alarms_and_of_misses():
                 "moving objects",
             },
         ),
-        ("0027.npz", {"observations", "stale tracks", "clock", "moving objects"}),
+        # The extrinsic is mixed: its translation is that of the inverse, which the turns show.
+        ("0027.npz", {"observations", "stale tracks", "clock", "lever arm", "moving objects"}),
     ],
 )
 @pytest.mark.slow
@@ -175,3 +178,52 @@ def test_recorded_traps_are_found_with_nothing_configured(name, faults):
     result = inspect_sequence(raw, config)
     assert {item.check for item in result.findings if item.verdict == "fault"} == faults
     assert len(result.series["stale_frames"]) == {"03.npz": 153, "0027.npz": 91}[name]
+    assert_the_rest_is_right(name, result)
+
+
+def assert_the_rest_is_right(name, result):
+    """Measured by other means: the clock against references, the bias and the noise by calibration."""
+    clock = result.finding("clock").measured[0]
+    assert 0.02 < clock.value < 0.09
+    gyro = [item.value for item in result.finding("biases").measured[:3]]
+    noise = result.settings
+    if name == "03.npz":
+        assert np.allclose(gyro, -0.010, atol=0.003)
+        assert result.proposal["data.repair.axes"] == {"body": ["x", "-y", "-z"]}
+        assert 0.5 < noise["noise.match_px"] < 0.9
+        return
+    assert np.allclose(gyro, 0.0045, atol=0.003)
+    # The rotation is told from its mirror image to a degree only, the third component is mostly noise.
+    assert result.finding("axes and extrinsic").verdict == "unclear"
+    assert result.proposal["data.repair.extrinsic"] == {"rotation": "stored", "translation": "inverse"}
+    assert result.finding("third velocity component").verdict == "unclear"
+    assert noise["data.repair.levelled_velocity"] is True
+    assert 0.7 < noise["noise.match_px"] < 0.95
+    assert not np.any(noise["noise.bias_mean"][3:])
+
+
+@pytest.mark.parametrize("name", ["0001", "0036"])
+@pytest.mark.slow
+def test_another_front_end_has_no_fault_of_axes_or_stale_frames(name, tmp_path):
+    raw = load_course_npz(converted(f"2011_09_26_drive_{name}_sync_KLT", tmp_path))
+    result = inspect_sequence(raw, Config(name="bare", data=DataConfig(file="kitti.npz")))
+    verdicts = {item.check: item.verdict for item in result.findings}
+    assert verdicts["stale tracks"] == verdicts["units"] == "ok"
+    assert verdicts["axes and extrinsic"] == "unclear"
+    assert verdicts["clock"] == "fault"
+    assert abs(result.finding("clock").measured[0].value - 0.0525) < 0.012
+
+
+@pytest.mark.slow
+def test_hand_held_with_few_tracks_says_so_first(tmp_path):
+    raw = load_course_npz(converted("dataset3", tmp_path))
+    result = inspect_sequence(raw, Config(name="bare", data=DataConfig(file="starry.npz")))
+    assert result.findings[0].check == "tracks"
+    assert result.findings[0].verdict == "unclear"
+    assert "few tracks" in result.findings[0].text
+    # Landmarks half a metre away are no points behind the camera.
+    assert result.finding("axes and extrinsic").counts["best_px"] < 5.0
+    assert result.finding("third velocity component").verdict == "ok"
+    assert result.finding("lever arm").verdict == "ok"
+    assert {"data.repair.baseline", "data.repair.disparity_offset"} <= set(result.unknown)
+    assert set(figures(result, title="t")) == {"tracks", "motion", "checks"}

@@ -30,6 +30,8 @@ _RATIO = 30.0
 """The inertial data are refused when off by this factor; degrees for radians are off by 57."""
 _LEAST_RATIO = 8.0
 """The same of a lower bound, which adds five standard deviations to what the camera sees."""
+_ALONE = 3.0
+"""Where the distance is off by more, a turn that is off has the same reason."""
 _NEAR = 0.2
 """A factor within this share of a unit's is taken for that unit."""
 _STEADY = 0.5
@@ -247,7 +249,7 @@ def _against_camera(seen: Ratios) -> list[Implausible]:
         found.append(Implausible(distance_text(distance), distance_guess(distance)))
     if turn is not None and turn > _NOTHING:
         found.append(Implausible(turn_text(turn), turn_guess(turn)))
-    elif seen.turn_least > _LEAST_RATIO:
+    elif np.isnan(seen.turn) and seen.turn_least > _LEAST_RATIO and not seen.distance > _ALONE:
         found.append(Implausible(turn_text(seen.turn_least, bound="at least "), turn_guess(DEGREES)))
     return found
 

@@ -3,6 +3,8 @@
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from vislam import config as configuration
 from vislam.config import Config
 from vislam.data.sequence import Sequence
@@ -110,7 +112,9 @@ def _repaired(sequence: Sequence, repair: RepairConfig, found: list[Finding]) ->
         for path, value in finding.proposal.items():
             if path.startswith(_REPAIR):
                 tree[path.removeprefix(_REPAIR)] = value
-    return apply(sequence, configuration.parse(RepairConfig, tree))
+    # With the disparity step off, disparities of zero reach the vote of the tracks as points at infinity.
+    with np.errstate(all="ignore"):
+        return apply(sequence, configuration.parse(RepairConfig, tree))
 
 
 def _withdrawn(finding: Finding, left: int, of: int) -> Finding:
@@ -214,9 +218,11 @@ def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> N
     text = f"only {frames} frames have tracks enough to see their motion: nothing more can be told"
     unknown = dict.fromkeys(_NEEDS_MOTION, f"not looked at: only {frames} frames show the camera's motion")
     book.enter(Finding("motion", "unclear", text, unknown=unknown))
-    if config.data.repair.levelled_velocity is None:
-        book.enter(motion.third_component_unseen(cut))
-    book.enter(motion.check_inertial_noise(cut, density=config.noise.twist_density))
+    repair = config.data.repair
+    levelled = repair.levelled_velocity is not None
+    if not levelled:
+        levelled = _levelled(book.enter(motion.third_component_unseen(cut)), repair)
+    book.enter(motion.check_inertial_noise(cut, density=config.noise.twist_density, heave=levelled))
 
 
 def unrepaired(config: Config) -> Config:

@@ -117,7 +117,11 @@ def _lowest(curve: Array) -> float:
 
 
 def check_inertial_noise(
-    sequence: Sequence, *, density: tuple[float, ...], seen: tuple[Sequence, VisionSteps] | None = None
+    sequence: Sequence,
+    *,
+    density: tuple[float, ...],
+    seen: tuple[Sequence, VisionSteps] | None = None,
+    heave: bool = False,
 ) -> Finding:
     """White noise of the inertial samples at most: their fourth differences, free of a smooth drive.
 
@@ -131,6 +135,9 @@ def check_inertial_noise(
         Velocities as they are to be used, and the camera's. Across the direction of travel it is not the
         noise of the samples that counts but how far a body is from what they say: side slip, and heave where
         the vertical velocity is taken to be 0.
+    heave : bool
+        Whether the vertical velocity is taken to be 0 without a camera to say how far it is from that; then
+        it may be all that was recorded.
     """
     measured = _sample_densities(sequence)
     known = [i for i in range(6) if measured[i].value > 0.0]
@@ -144,7 +151,12 @@ def check_inertial_noise(
         across = _across(*seen)
         text = f"{text}; against the camera {across[0]:.3g} and {across[1]:.3g} m/sqrt(s) across the travel"
         used = _sample_densities(seen[0])
-        values[4:] = [float(np.fmax(used[4 + i].value, across[i])) for i in range(2)]
+        values[4:] = [
+            float(np.fmax(used[i].value, across[i - 4])) or measured[i].value or density[i] for i in (4, 5)
+        ]
+    if heave:
+        period = float(np.median(np.diff(sequence.inertial_stamp)))
+        values[5] = max(values[5], float(np.sqrt(period * np.mean(sequence.twist[:, 5] ** 2))))
     rounded = [float(f"{value:.2g}") for value in values]
     off = [i for i in known if i < 4 and not density[i] / 5.0 <= measured[i].value <= density[i] * 5.0]
     if off:

@@ -22,6 +22,8 @@ _OFF = 1.5
 _STEADY = 0.35
 """Spread (MAD of the logarithm) below which a ratio is one factor, not noise."""
 _NEAR_DEGREES = 0.25
+_ALIKE = 0.2
+"""Two factors whose logarithms differ by less are one."""
 _TURN_OFF = 10.0
 
 
@@ -66,12 +68,14 @@ def _refused(text: str) -> str:
 def _against_camera(ratios: Ratios) -> Finding:
     """Ratios that are off by a factor, but by no order of magnitude."""
     counts = {"distance_ratio": ratios.distance, "turn_ratio": ratios.turn, "frames": ratios.frames}
+    steady = ratios.distance_spread < _STEADY and ratios.turn_spread < _STEADY
+    apart = abs(np.log(max(ratios.turn, 1e-12)) - np.log(max(ratios.distance, 1e-12)))
     off = []
-    if ratios.distance_spread < _STEADY and not 1.0 / _OFF < ratios.distance < _OFF:
-        off.append(f"{distance_text(ratios.distance)}; {distance_guess(ratios.distance)}")
-    degrees = abs(np.log(max(ratios.turn, 1e-12)) - np.log(DEGREES)) < _NEAR_DEGREES
-    if degrees or (ratios.turn_spread < _STEADY and not 1.0 / _TURN_OFF < ratios.turn < _TURN_OFF):
-        off.append(f"{turn_text(ratios.turn)}; {turn_guess(ratios.turn)}")
+    if steady and apart < _ALIKE and not 1.0 / _OFF < ratios.distance < _OFF:
+        text = f"{distance_text(ratios.distance)}, and turn {ratios.turn:.3g} times as far"
+        off.append(f"{text}; both by one factor: time_stamps are no seconds, or K is for another lens")
+    else:
+        off += _each_alone(ratios)
     if off:
         unknown = {"data.file": f"the units of this recording are in doubt: {'; '.join(off)}"}
         return Finding("units", "fault", "; ".join(off), counts=counts, unknown=unknown)
@@ -81,3 +85,14 @@ def _against_camera(ratios: Ratios) -> Finding:
     seen = [distance_text(ratios.distance)] if np.isfinite(ratios.distance) else []
     seen += [turn_text(ratios.turn)] if np.isfinite(ratios.turn) else []
     return Finding("units", "ok", "; ".join(seen), counts=counts)
+
+
+def _each_alone(ratios: Ratios) -> list[str]:
+    """What is off in the distance and in the turn."""
+    off = []
+    if ratios.distance_spread < _STEADY and not 1.0 / _OFF < ratios.distance < _OFF:
+        off.append(f"{distance_text(ratios.distance)}; {distance_guess(ratios.distance)}")
+    degrees = abs(np.log(max(ratios.turn, 1e-12)) - np.log(DEGREES)) < _NEAR_DEGREES
+    if degrees or (ratios.turn_spread < _STEADY and not 1.0 / _TURN_OFF < ratios.turn < _TURN_OFF):
+        off.append(f"{turn_text(ratios.turn)}; {turn_guess(ratios.turn)}")
+    return off
