@@ -18,12 +18,12 @@ from vislam.data.source import Dataset, open_dataset
 from vislam.errors import ConfigError, DataError
 from vislam.estimator import GROUP, ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
-from vislam.files import check_writable
+from vislam.files import check_writable, folder_name
 from vislam.frozen import FrozenList
 from vislam.members import members
 from vislam.motion import MotionNoise
 from vislam.record import Record, Tracks
-from vislam.results import SCHEMA_VERSION, Published, Results, announce, publish
+from vislam.results import PLACES, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
@@ -70,7 +70,8 @@ def compare(
     dataset = open_dataset(config.data, seed=config.seed, data_dir=data_dir, allow_stand_in=allow_stand_in)
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     folder = out / result_id(config, dataset)
-    check_writable(folder / "metrics.json")
+    for file in PLACES:
+        check_writable(folder / file)
     results = run_comparison(config, dataset, terminal)
     results.save(folder)
     published = publish(results, folder, checklist, report=report)
@@ -180,7 +181,7 @@ def _track_noise(config: Config) -> TrackNoise:
 def result_id(config: Config, dataset: Dataset) -> str:
     """Hash of config, data and code version."""
     parts = [configuration.dump(config), dataset.sequence.digest, code_digest()]
-    return f"{config.name}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
+    return f"{folder_name(config.name)}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:_ID_DIGITS]}"
 
 
 def provenance() -> dict[str, str]:

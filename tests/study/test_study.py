@@ -196,7 +196,7 @@ BAD = {
     "swept key": (["--set", "study.grid={noise.drift: [1]}"], "study: noise.drift: unknown key"),
     "option": (["--set", "study.grid={estimators.ekf.gates: [true]}"], "estimators.ekf.gates: unknown key"),
     "workers": (["--workers", "0"], "--workers must be at least 1"),
-    "place": (["--out", "small.yaml"], "cannot be written there"),
+    "place": (["--out", "small.yaml"], "cannot be written ("),
 }
 
 

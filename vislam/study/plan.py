@@ -9,6 +9,7 @@ from vislam.comparison import build_estimators, code_digest
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError
+from vislam.files import folder_name
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig
@@ -72,7 +73,7 @@ class Plan:
         """Hash of config, recording and code; with more seeds a study goes on, so they do not count."""
         lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
         text = json.dumps(asdict(lasting)) + code_digest() + self.data
-        return f"{self.config.name}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
+        return f"{folder_name(self.config.name)}-{hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]}"
 
     def refuse_bad_options(self) -> None:
         """Raise ConfigError or DataError for what would make every trial of a point fail."""
