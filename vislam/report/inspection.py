@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from vislam.files import replace_whole
+from vislam.files import replace_whole, write_text
 from vislam.inspection import Inspection
+from vislam.legible import literal
 from vislam.types import Array
 
 SCHEMA_VERSION = 1
@@ -24,8 +25,7 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool) -> Non
         "findings": [_finite(asdict(finding)) for finding in result.findings],
         "proposal": result.proposal,
     }
-    with replace_whole(folder / "inspection.json") as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "inspection.json", json.dumps(document, indent=1) + "\n")
     mark = " [SIMULATED]" if stand_in else ""
     for name, figure in figures(result, title=f"{result.name}{mark}").items():
         with replace_whole(folder / f"{name}.png") as temporary:
@@ -39,7 +39,7 @@ def figures(result: Inspection, *, title: str) -> dict[str, Figure]:
     if "step_seen" in series:
         drawn |= {"motion": _motion(series), "checks": _checks(series)}
     for figure in drawn.values():
-        figure.suptitle(title)
+        figure.suptitle(literal(title))
     return drawn
 
 
