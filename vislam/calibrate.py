@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import add_config_options, answer, load_config
+from vislam.command import Parser, add_config_options, answer, load_config
 
 _BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
 
@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.calibrate", description=__doc__)
+    parser = Parser(prog="python -m vislam.calibrate", description=__doc__)
     add_config_options(parser)
     add = parser.add_argument
     add(
@@ -44,7 +44,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
     from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
-    from vislam.files import check_writable, replace_whole  # noqa: PLC0415
+    from vislam.files import check_writable, write_text  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     check_writable(options.out)
@@ -105,8 +105,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         written = replace(
             written, noise=replace(written.noise, bias_mean=prior.bias_mean, bias_sigma=prior.bias_sigma)
         )
-    with replace_whole(options.out) as temporary:
-        temporary.write_text(configuration.dump(written), encoding="utf-8")
+    write_text(options.out, configuration.dump(written))
     terminal.note(f"config: {options.out}")
     return 0
 
