@@ -37,19 +37,26 @@ def _parser() -> argparse.ArgumentParser:
 
 def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
+    import numpy as np  # noqa: PLC0415
+
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.external import with_trajectories  # noqa: PLC0415
     from vislam.results import SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     refuse_bad_check_options(options)
-    results = with_trajectories(Results.load(options.results), options.trajectory)
+    results = Results.load(options.results)
+    for name, run in results.runs.items():
+        results.record.refuse_other(run, path=options.results / "runs" / f"{name}.npz")
+    results = with_trajectories(results, options.trajectory)
     checklist = read_checklist(
         results.config, against=options.against, tolerance=options.tolerance, schema_version=SCHEMA_VERSION
     )
     checklist.refuse_other(digest=results.record.digest, reference=results.record.reference)
     folder = options.out or options.results
-    published = publish(results, folder, checklist, report=not options.no_report)
+    # Saved numbers may be such that a metric of them overflows, or is none: it is then left out.
+    with np.errstate(all="ignore"):
+        published = publish(results, folder, checklist, report=not options.no_report)
     announce(results, published, Terminal())
     return conclude(results, published, junit=options.junit, rerun=options.rerun)
 

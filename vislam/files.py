@@ -3,7 +3,6 @@
 import json
 import os
 import tempfile
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,8 @@ import numpy as np
 from vislam.errors import DataError
 from vislam.types import Array
 
-_PLAIN = "plain"
+PLAIN = "plain"
+"""Member of an archive that holds its plain data as JSON."""
 
 
 def check_writable(path: Path) -> None:
@@ -45,14 +45,4 @@ def save_archive(path: Path, plain: Mapping[str, Any], arrays: Mapping[str, Arra
     """Write plain data and arrays as one npz file, whole or not at all."""
     with replace_whole(path) as temporary, temporary.open("wb") as file:
         text = np.array(json.dumps(plain))
-        np.savez_compressed(file, allow_pickle=False, **{**arrays, _PLAIN: text})
-
-
-def load_archive(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Read what :func:`save_archive` wrote; OSError or ValueError if it is something else."""
-    try:
-        with path.open("rb") as file, np.load(file) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        return json.loads(str(arrays.pop(_PLAIN))), arrays
-    except (zipfile.BadZipFile, EOFError, KeyError, AttributeError) as error:
-        raise ValueError(f"not a whole archive ({error})") from None
+        np.savez_compressed(file, allow_pickle=False, **{**arrays, PLAIN: text})

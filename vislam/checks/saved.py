@@ -1,26 +1,32 @@
 """Results of an earlier run, as its ``metrics.json`` has them, to compare new ones with."""
 
 import json
+import os
+import stat
 from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import StrictBool, StrictFloat
+from pydantic import Field, StrictBool, StrictFloat
 from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
+from vislam.archive import shown
 from vislam.checks.settings import SAVED, Check
-from vislam.errors import ConfigError, DataError
+from vislam.errors import ConfigError, DataError, first_line
 
+_MOST_BYTES = 1 << 26
+"""Largest ``metrics.json``; that of ten estimators has less than a hundredth."""
+_Word = Annotated[str, Field(strict=True, pattern="^[ -~]{1,200}$")]
 _SMALLER_IS_BETTER = ("ate_", "rpe_", "kitti_", "drift_", "map_error_", "held_out_")
 """How keys of metrics of accuracy start."""
 
 
 @dataclass(frozen=True)
 class _Metric:
-    estimator: str
-    key: str
-    value: StrictFloat
+    estimator: _Word
+    key: _Word
+    value: Annotated[StrictFloat, Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)
@@ -70,36 +76,40 @@ class Saved:
     @classmethod
     def read(cls, path: Path, *, schema_version: int) -> "Saved":
         """Read a ``metrics.json``, or that of a folder of results; a DataError says what is wrong with it."""
-        path = path / "metrics.json" if path.is_dir() else path
+        path = path / "metrics.json" if os.path.isdir(path) else path
         tree = _tree(path)
         if tree.get("schema_version") != schema_version:
             raise DataError(
-                f"{path}: schema_version must be {schema_version}, got {tree.get('schema_version')!r}; "
+                f"{path}: schema_version must be {schema_version}, "
+                f"got {shown(repr(tree.get('schema_version')))}; "
                 "write it anew with this version"
             )
         try:
             found = configuration.parse(_Document, tree)
         except ConfigError as error:
-            raise DataError(f"{path}: {error}") from None
+            raise DataError(f"{path}: {shown(str(error))}") from None
+        values = {(metric.estimator, metric.key): metric.value for metric in found.metrics}
+        if len(values) < len(found.metrics):
+            raise DataError(f"{path}: must hold each metric of a run once; write it anew with this version")
         return cls(
             path=path,
             data=found.dataset.name,
             digest=found.dataset.digest,
             reference=found.dataset.reference,
             complete={name: run.complete for name, run in found.runs.items()},
-            values={(metric.estimator, metric.key): metric.value for metric in found.metrics},
+            values=values,
         )
 
     def refuse_other(self, *, digest: str, reference: str | None) -> None:
         """Raise DataError if results on other data, or against another reference, are to be compared."""
         if self.digest != digest:
             raise DataError(
-                f"{self.path}: of other data ({self.data}, digest {self.digest[:10]}, here {digest[:10]}), "
-                "so its errors are no measure; save results of this data"
+                f"{self.path}: of other data ({shown(self.data)}, digest {shown(self.digest[:10])}, here "
+                f"{digest[:10]}), so its errors are no measure; save results of this data"
             )
         if self.reference != reference:
             raise DataError(
-                f"{self.path}: scored against {self.reference or 'no reference'}, here it is "
+                f"{self.path}: scored against {shown(self.reference or 'no reference')}, here it is "
                 f"{reference or 'none'}; save results with the same reference"
             )
 
@@ -125,11 +135,15 @@ class Saved:
 
 def _tree(path: Path) -> dict[str, Any]:
     try:
+        status = path.stat()
+        # What is no regular file, as a pipe, might never end.
+        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
+            raise DataError(f"{path}: must be a regular file of at most {_MOST_BYTES} bytes; name another")
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise DataError(f"{path}: not a metrics.json ({str(error).splitlines()[0]})") from None
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise DataError(f"{path}: not a metrics.json ({shown(first_line(error))})") from None
     if not isinstance(tree, dict):
         raise DataError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
     return tree
