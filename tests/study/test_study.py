@@ -334,7 +334,10 @@ def test_lost_trials_are_run_again(ran, monkeypatch, capsys):
 
     monkeypatch.setattr(conduct, "run_trials", lose)
     assert study() == 1
-    assert "4 trials were lost with their workers" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert said.count("lost, the first: seed 5: KilledWorker\n") == 1
+    assert "4 trials were lost with their workers" in said
+    assert "┏" not in said
     monkeypatch.setattr(conduct, "run_trials", whole)
     assert study() == 0
     assert len(ran) == 4

@@ -62,6 +62,7 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) 
 def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
     """Run the ``number`` trials that have no result yet, as far as there are workers for them."""
     seen: set[str] = set()
+    lost = False
     for start in range(_STARTS):
         try:
             with cluster.connect() as client:
@@ -76,6 +77,9 @@ def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Te
                     for trial, result in running:
                         folder.save(trial, result)
                         seen.add(trial.id)
+                        if result["status"] == LOST and not lost:
+                            lost = True
+                            terminal.note(f"lost, the first: seed {trial.seed}: {clean(result['reason'])}")
                         bar.update(0, completed=len(seen))  # type: ignore[arg-type]
             return
         except WorkersGone as gone:
