@@ -16,8 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vislam import identity
-from vislam.comparison import result_id
+from vislam.comparison import identify, result_id
 from vislam.config import Config, DataConfig
+from vislam.data.find import search_path
 from vislam.data.source import Dataset
 from vislam.identity import code_digest, inputs_digest
 from vislam.simulation import SimulationConfig
@@ -349,11 +350,15 @@ def test_a_comparison_is_known_by_the_files_that_it_reads(here, short: Dataset):
         data=DataConfig(simulation=SimulationConfig()),
         estimators={"known_map": {"map": "run.npz"}},
     )
-    found = [result_id(config, short)]
+
+    def named(data_dir: Path | None = None) -> str:
+        return result_id(config, identify(config, short, folders=search_path(data_dir)))
+
+    found = [named()]
     for text in ("one", "two"):
         (here / "run.npz").write_text(text, encoding="utf-8")
-        found.append(result_id(config, short))
+        found.append(named())
     (here / "run.npz").rename(here / "sub" / "run.npz")
-    assert result_id(config, short, data_dir=here / "sub") == found[-1]
+    assert named(here / "sub") == found[-1]
     assert len(set(found)) == 3
     assert all(name.startswith("map-") for name in found)

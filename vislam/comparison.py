@@ -32,6 +32,7 @@ from vislam.terminal import Terminal
 from vislam.types import Array, BoolArray
 
 _ID_DIGITS = 10
+"""Digits of the hash in the name of a results folder."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def compare(
     )
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     identity = identify(config, dataset, folders=search_path(data_dir, config_dir=config_dir))
-    folder = out / result_id(config, dataset, data_dir=data_dir, config_dir=config_dir)
+    folder = out / result_id(config, identity)
     check_writable(folder / "metrics.json")
     keeper = FolderKeeper(folder, fresh=fresh)
     keeper.clear()
@@ -274,12 +275,9 @@ def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:
     return hashlib.sha256("|".join(parts).encode()).hexdigest()
 
 
-def result_id(
-    config: Config, dataset: Dataset, *, data_dir: Path | None = None, config_dir: Path | None = None
-) -> str:
+def result_id(config: Config, identity: str) -> str:
     """Name of the results folder: that of the config, and the beginning of the hash."""
-    folders = search_path(data_dir, config_dir=config_dir)
-    return f"{config.name}-{identify(config, dataset, folders=folders)[:_ID_DIGITS]}"
+    return f"{config.name}-{identity[:_ID_DIGITS]}"
 
 
 def earlier_provenance(record: Record, folder: Path) -> Record:
