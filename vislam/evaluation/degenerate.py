@@ -9,6 +9,7 @@ import numpy as np
 from vislam.geometry import se3, so3
 from vislam.record import Record
 from vislam.run import Run
+from vislam.types import Array, IntArray
 
 _LEAST_SHARE = 0.05
 """Share of the observations below which what was fused is not the data that was given."""
@@ -58,21 +59,25 @@ def _jumps(run: Run, record: Record) -> tuple[str, ...]:
     sure_turn, sure_way = (_SURE * np.sqrt(part.sum(axis=1)) for part in np.split(variance, 2, axis=1))
     farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
     widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn
-    far, wide = moved > farthest, turned > np.maximum(widest, _SMALLEST_TURN)
-    found = []
-    if far.any():
-        at = int(np.argmax(np.where(far, moved, 0.0)))
-        found.append(
-            f"jumps: {np.count_nonzero(far)} steps beyond what the inertial data allow, the largest "
-            f"{moved[at]:.3g} m at frame {frame[at]}, where they have {way[frame[at]]:.3g} m"
-        )
-    if wide.any():
-        at = int(np.argmax(np.where(wide, turned, 0.0)))
-        found.append(
-            f"jumps: {np.count_nonzero(wide)} turns beyond what the inertial data allow, the largest "
-            f"{turned[at]:.3g} rad at frame {frame[at]}, where they have {turn[frame[at]]:.3g} rad"
-        )
-    return tuple(found)
+    widest = np.maximum(widest, _SMALLEST_TURN)
+    return (
+        *_beyond("steps", moved, farthest, inertial=way[frame], frame=frame, unit="m"),
+        *_beyond("turns", turned, widest, inertial=turn[frame], frame=frame, unit="rad"),
+    )
+
+
+def _beyond(
+    what: str, values: Array, limit: Array, *, inertial: Array, frame: IntArray, unit: str
+) -> tuple[str, ...]:
+    """Line on the steps ``(n,)`` that are beyond their limits; none if none is."""
+    beyond = values > limit
+    if not beyond.any():
+        return ()
+    at = int(np.argmax(np.where(beyond, values, 0.0)))
+    return (
+        f"jumps: {np.count_nonzero(beyond)} {what} beyond what the inertial data allow, the largest "
+        f"{values[at]:.3g} {unit} at frame {frame[at]}, where they have {inertial[at]:.3g} {unit}",
+    )
 
 
 def _residuals(run: Run) -> tuple[str, ...]:
