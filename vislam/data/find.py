@@ -22,6 +22,11 @@ def find_file(name: str, folders: list[Path]) -> Path | None:
     return next((folder / name for folder in folders if (folder / name).is_file()), None)
 
 
+def find_path(name: str, folders: list[Path]) -> Path | None:
+    """First file or folder of that name in the folders, or None; an absolute path is one in any case."""
+    return next((folder / name for folder in folders if (folder / name).exists()), None)
+
+
 def not_found(name: str, folders: list[Path]) -> str:
     """Say that a file is missing, where it was looked for and how it can be had."""
     if Path(name).is_absolute():

@@ -9,7 +9,7 @@ import numpy as np
 from vislam import repair
 from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.data.course_npz import load_course_npz
-from vislam.data.find import find_file, not_found, search_path
+from vislam.data.find import find_file, find_path, not_found, search_path
 from vislam.data.gtsam_stereo import load_kitti00
 from vislam.data.oxts import with_oxts
 from vislam.data.plausibility import Implausible, implausible
@@ -133,7 +133,7 @@ def _with_inertial(sequence: Sequence, config: InertialConfig, folders: list[Pat
 
 
 def _existing(name: str, folders: list[Path]) -> Path:
-    found = next((folder / name for folder in folders if (folder / name).exists()), None)
+    found = find_path(name, folders)
     if found is None:
         looked = ", ".join(str(folder) for folder in folders)
         raise DataError(f"{name}: not found in {looked}; put the drive's folder into one of these")

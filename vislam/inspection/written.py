@@ -7,6 +7,7 @@ from typing import Any
 
 from vislam import config as configuration
 from vislam.config import Config
+from vislam.data.find import find_path
 from vislam.inspection.finding import Inspection
 
 _FILES = (
@@ -70,7 +71,7 @@ def _point_at(tree: dict[str, Any], path: tuple[str, ...], folders: list[Path], 
         here = here.get(part) if isinstance(here, dict) else None
     if not isinstance(here, dict) or not isinstance(name := here.get(path[-1]), str):
         return
-    found = next((folder / name for folder in folders if (folder / name).exists()), None)
+    found = find_path(name, folders)
     if found is None:
         return
     whole = found.resolve()
