@@ -43,6 +43,8 @@ _SMALLEST_FLOW_PX = 1.0
 _EXPLAINED = 0.25
 """A rigid motion explains the flow when it leaves less than this share of it."""
 _SIGNIFICANT = 5.0
+_NOTHING = 1e-6
+"""Below it the inertial samples are zero, which is no unit."""
 SPEEDS = {"km/h": 3.6, "mph": 2.237, "knots": 1.944, "feet a second": 3.281, "cm/s": 100.0, "mm/s": 1000.0}
 DEGREES = float(np.degrees(1.0))
 
@@ -254,10 +256,6 @@ def _against_camera(seen: Ratios) -> list[Implausible]:
     return found
 
 
-_NOTHING = 1e-6
-"""Below it the inertial samples are zero, which is no unit."""
-
-
 def distance_text(ratio: float) -> str:
     """Say how the inertial distance stands to the camera's."""
     return f"the inertial data go {ratio:.3g} times as far as the camera sees"
@@ -271,8 +269,7 @@ def turn_text(ratio: float, *, bound: str = "") -> str:
 def distance_guess(ratio: float) -> str:
     """Likely reason for a ratio of the distances."""
     unit = _named(ratio, SPEEDS)
-    baselines = {"centimetres": 1e-2, "millimetres": 1e-3}
-    length = _named(ratio, baselines)
+    length = _named(ratio, _LENGTHS)
     if unit is not None:
         return f"linear_velocity looks like {unit}: give m/s (or b or K is for another rig)"
     if length is not None:

@@ -28,7 +28,10 @@ _TURN_OFF = 10.0
 
 
 def in_plausible_units(raw: Sequence) -> Sequence:
-    """Sequence with stamps and baseline in the units that they look like, so that the rest can be checked."""
+    """Sequence with stamps and baseline in the units that they look like, so that the rest can be checked.
+
+    The sequence itself where nothing about it is implausible.
+    """
     for item in implausible(raw):
         raw = replace(
             raw, stamp=raw.stamp * item.stamp_scale, inertial_stamp=raw.inertial_stamp * item.stamp_scale
@@ -49,7 +52,8 @@ def check_units(recorded: Sequence, believed: Sequence) -> Finding:
         The same in plausible units.
     """
     ratios = motion_ratios(believed)
-    found = [item for item in implausible(recorded) if item.stamp_scale == 1.0]
+    as_read = implausible(recorded, ratios=ratios if recorded is believed else None)
+    found = [item for item in as_read if item.stamp_scale == 1.0]
     found += [item for item in implausible(believed, ratios=ratios) if item not in found]
     if not found:
         return _against_camera(ratios)
