@@ -1,6 +1,6 @@
 """``python -m vislam.compare``: run estimators on identical information, score and report.
 
-Each run is saved when it has ended. The same command again goes on with what is there; --fresh starts over.
+Each run is saved when it has ended. The same command resumes from what is there; --fresh starts over.
 Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked, and the
 others are scored); 2 bad config or data, or saved results of other data; 3 no estimator failed, but a check
 does not hold; 130 interrupted by Ctrl-C or SIGTERM (what had finished is kept, scored and reported).

@@ -1,4 +1,4 @@
-"""Identity: hashes of all that a result rests on, so that whatever has changed is computed anew."""
+"""Identity: hashes of all that a result rests on, so that whatever has changed is computed again."""
 
 import hashlib
 import os
