@@ -26,6 +26,8 @@ from vislam.types import Array, BoolArray, IntArray
 
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""
+_ROUNDING = 1e-6
+"""Negative eigenvalues of a covariance up to this share of its largest entry are rounding."""
 
 Variances = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 
@@ -100,6 +102,7 @@ class ReportEkf:
         self.points_world = np.empty((0, 3))
         self.cov = np.diag(prior)
         self._poses: list[Array] = []
+        self._indefinite: list[int] = []
         self._left: list[Landmarks] = []
 
     def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
@@ -121,15 +124,17 @@ class ReportEkf:
         if not (np.isfinite(self.world_T_imu).all() and np.isfinite(self.cov).all()):
             raise ArithmeticError("pose or covariance is no longer finite")
         self._poses.append(self.world_T_imu)
-        fused = used & known
+        # As printed the covariance loses its symmetry; what it claims is the symmetric part.
+        claimed = 0.5 * (self.cov[:NAV, :NAV] + self.cov[:NAV, :NAV].T)
+        valid = nis >= 0.0 and bool(_semi_definite(claimed))
+        self._indefinite += [] if valid else [frame.k]
         return StepRecord(
             world_T_imu=self.world_T_imu,
-            # As printed the covariance loses its symmetry; what it claims is the symmetric part.
-            pose_cov=0.5 * (self.cov[POSE, POSE] + self.cov[POSE, POSE].T),
+            pose_cov=claimed[POSE, POSE] if valid else None,
             bias=self.bias.copy(),
-            bias_sigma=np.sqrt(np.maximum(np.diagonal(self.cov)[BIAS], 0.0)),
-            nis=nis,
-            dof=3 * int(fused.sum()),
+            bias_sigma=np.sqrt(np.maximum(np.diagonal(claimed)[BIAS], 0.0)) if valid else None,
+            nis=nis if valid else 0.0,
+            dof=3 * int((used & known).sum()) if valid else 0,
             log_likelihood=float("nan"),
             used=used | new,
             gated=gated,
@@ -142,7 +147,22 @@ class ReportEkf:
         # A track that was out of sight for a while has two; the later one knows more.
         _, last = np.unique(every.track[::-1], return_index=True)
         found = every.select(len(every.track) - 1 - last)
-        return Estimate(np.array(self._poses), None, found.track, found.points_world, found.cov, {})
+        points_cov = 0.5 * (found.cov + np.swapaxes(found.cov, 1, 2))
+        points_cov[~_semi_definite(points_cov)] = np.nan
+        events = self._events()
+        return Estimate(
+            np.array(self._poses), None, found.track, found.points_world, points_cov, {}, events=events
+        )
+
+    def _events(self) -> tuple[str, ...]:
+        """Say that the covariance ceased to be one."""
+        if not self._indefinite:
+            return ()
+        count, first = len(self._indefinite), self._indefinite[0]
+        return (
+            f"covariance no longer positive semi-definite at {count} frames, the first is {first}: "
+            "they have neither covariance nor NIS",
+        )
 
     def _predict(self, frame: Frame) -> None:
         """Eq. (25), with the bias added."""
@@ -268,6 +288,12 @@ def circled_dot(points: Array) -> Array:
     out[:, :, :3] = -so3.hat(points)
     out[:, :, 3:] = np.eye(3)
     return out
+
+
+def _semi_definite(cov: Array) -> BoolArray:
+    """Which of symmetric matrices ``(..., n, n)`` are covariances, but for rounding."""
+    scale = np.abs(cov).max(axis=(-2, -1), initial=0.0)
+    return np.asarray(np.linalg.eigvalsh(cov)[..., 0] >= -_ROUNDING * scale)
 
 
 def _stacked(by_pose: Array, by_point: Array, slots: IntArray, *, size: int) -> Array:

@@ -158,6 +158,26 @@ def test_a_filter_that_is_no_longer_finite_stops_with_its_reason():
         estimator.process(second, np.zeros(len(second.track), bool))
 
 
+def test_a_covariance_that_is_none_any_more_is_not_claimed_and_the_run_goes_on():
+    class Spoilt(ReportEkf):
+        def _update(self, frame, wanted):
+            found = super()._update(frame, wanted)
+            if frame.k == 7:
+                self.cov[0, 0] = -1.0
+            return found
+
+    config, dataset = drive(seed=4, frames=20)
+    options = ReportEkfOptions(**MENDED)
+    spoilt = Spoilt(make_problem(config, dataset), options)
+    found = run(spoilt, dataset.sequence, pixel_sigma(config, dataset), name="report_ekf")
+    assert found.complete, found.error
+    assert np.isfinite(found.pose_cov[:7]).all()
+    assert np.isnan(found.pose_cov[7]).all()
+    assert found.nis[7] == found.dof[7] == 0
+    assert "no longer positive semi-definite" in found.events[0]
+    assert "the first is 7" in found.events[0]
+
+
 def test_an_unknown_option_is_named():
     config, dataset = drive(seed=4, frames=3)
     with pytest.raises(ConfigError, match=r"estimators\.report_ekf\.gain: unknown key"):
