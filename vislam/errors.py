@@ -1,5 +1,9 @@
 """The errors that the command line turns into exit codes."""
 
+from pathlib import Path
+
+from vislam.legible import one_line
+
 INTERRUPTED = 130
 """Exit code after Ctrl-C or SIGTERM, as a shell gives it."""
 
@@ -10,6 +14,25 @@ class ConfigError(ValueError):
 
 class DataError(ValueError):
     """A recording or reference that cannot be used; the message names the file and the remedy."""
+
+
+class NotWrittenError(DataError):
+    """A file that cannot be written, before or after the work.
+
+    Attributes
+    ----------
+    why : str
+        What the file system said of it.
+    """
+
+    def __init__(self, path: Path, why: str, remedy: str) -> None:
+        # All of them, so that it can be sent to another process.
+        super().__init__(path, why, remedy)
+        self.why = why
+
+    def __str__(self) -> str:
+        path, why, remedy = self.args
+        return f"{path}: cannot be written ({why}); {remedy}"
 
 
 class DivergedError(RuntimeError):
@@ -28,6 +51,6 @@ class Interrupted(KeyboardInterrupt):
 
 
 def first_line(error: BaseException) -> str:
-    """First line of what an error says, without the path that an OSError repeats."""
+    """First line of what an error says, of bounded length, without the path that an OSError repeats."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return next((line for line in said.splitlines() if line.strip()), type(error).__name__)
+    return one_line(next((line for line in said.splitlines() if line.strip()), type(error).__name__))
