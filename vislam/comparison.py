@@ -18,14 +18,14 @@ from vislam.data.source import Dataset, open_dataset, require_usable
 from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
-from vislam.files import check_writable
+from vislam.files import check_writable, folder_name
 from vislam.frozen import FrozenList
 from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.members import Unbuilt, members
 from vislam.motion import MotionNoise
 from vislam.record import Record, Tracks
-from vislam.results import RECORD, SCHEMA_VERSION, Published, Results, announce, publish
+from vislam.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
@@ -80,7 +80,8 @@ def compare(
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     identity = identify(config, dataset, folders=search_path(data_dir, config_dir=config_dir))
     folder = out / result_id(config, identity)
-    check_writable(folder / "metrics.json")
+    for file in PLACES:
+        check_writable(folder / file)
     keeper = FolderKeeper(folder, fresh=fresh)
     keeper.clear()
     prepared = prepare(config, dataset, terminal, keeper=keeper, identity=identity)
@@ -277,7 +278,7 @@ def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:
 
 def result_id(config: Config, identity: str) -> str:
     """Name of the results folder: that of the config, and the beginning of the hash."""
-    return f"{config.name}-{identity[:_ID_DIGITS]}"
+    return f"{folder_name(config.name)}-{identity[:_ID_DIGITS]}"
 
 
 def earlier_provenance(record: Record, folder: Path) -> Record:

@@ -18,7 +18,7 @@ from vislam.files import replace_whole
 from vislam.keeping import RUNS
 from vislam.record import Record
 from vislam.report.figures import all_figures
-from vislam.report.page import write_page
+from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
@@ -28,6 +28,8 @@ from vislam.terminal import Terminal
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 1
 RECORD = "record.npz"
+PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.png")
+"""A file of each folder that results are written to, and those that earlier results may have left."""
 _DPI = 130
 
 
@@ -127,6 +129,7 @@ def publish(results: Results, folder: Path, checklist: Checklist, *, report: boo
     verdicts = checklist.judge(results.runs, evaluation)
     rungs = attribute(results.config.ladder, results.runs, evaluation, results.record.reference)
     document = metrics_document(results, evaluation, rungs, verdicts)
+    clear_report(folder)
     written = folder / "metrics.json"
     with replace_whole(written) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -83,7 +83,7 @@ MISTAKES = {
         "name them with --against results/<id>",
     ),
     "no such file": ("[]", ["--against", "nowhere"], "nowhere: cannot be read"),
-    "no place for the XML": ("[]", ["--junit", "."], "cannot be written there"),
+    "no place for the XML": ("[]", ["--junit", "."], "cannot be written ("),
     "a negative tolerance": ("[]", ["--tolerance", "-1"], "--tolerance must be >= 0 and finite, got -1.0"),
     "no bound": ("[]", ["--tolerance", "inf"], "--tolerance must be >= 0 and finite, got inf"),
     "no number": ("[]", ["--tolerance", "nan"], "--tolerance must be >= 0 and finite, got nan"),

@@ -391,7 +391,7 @@ BAD = {
     ),
     "a date": (["--set", "study.grid={estimators.ekf.gate: [2026-01-01]}"], "study: expected numbers, texts"),
     "a seed beyond all": (["--seed", "9223372036854775807"], "seed: must be below 9223372036854775808"),
-    "place": (["--out", "small.yaml"], "cannot be written there"),
+    "place": (["--out", "small.yaml"], "cannot be written ("),
 }
 
 

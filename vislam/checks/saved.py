@@ -10,7 +10,8 @@ from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
 from vislam.checks.settings import SAVED, Check
-from vislam.errors import ConfigError, DataError
+from vislam.errors import ConfigError, DataError, first_line
+from vislam.files import open_regular
 
 _SMALLER_IS_BETTER = ("ate_", "rpe_", "kitti_", "drift_", "map_error_", "held_out_")
 """How keys of metrics of accuracy start."""
@@ -125,11 +126,12 @@ class Saved:
 
 def _tree(path: Path) -> dict[str, Any]:
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
+        with open_regular(path) as file:
+            tree = json.loads(file.read())
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise DataError(f"{path}: not a metrics.json ({str(error).splitlines()[0]})") from None
+        raise DataError(f"{path}: cannot be read ({first_line(error)})") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: not a metrics.json ({first_line(error)})") from None
     if not isinstance(tree, dict):
         raise DataError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
     return tree

@@ -11,7 +11,6 @@ import numpy as np
 from vislam.data.npy import LARGEST_BYTES
 from vislam.data.sequence import Sequence
 from vislam.errors import DataError
-from vislam.files import replace_whole
 from vislam.types import Array
 
 _UNSEEN = -1.0
@@ -20,11 +19,12 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_course_npz(path: Path, sequence: Sequence) -> None:
-    """Write a sequence as a course file that ``load_course_npz`` reads, whole or not at all.
+    """Write a sequence as a course file that ``load_course_npz`` reads.
 
     The keys are ``time_stamps (1, T)`` [s], ``features (4, M, T)`` (uL, vL, uR, vR) with -1 for unseen [px],
     ``linear_velocity (3, T)`` [m/s], ``angular_velocity (3, T)`` [rad/s], ``K (3, 3)``, ``b`` [m] and
-    ``imu_T_cam (4, 4)``. M is the largest track id plus one.
+    ``imu_T_cam (4, 4)``. M is the largest track id plus one. What breaks off leaves half a file: ``path`` is
+    best the temporary name that ``replace_whole`` gives.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def write_course_npz(path: Path, sequence: Sequence) -> None:
         "b": np.array(rig.baseline),
         "imu_T_cam": rig.imu_T_cam,
     }
-    with replace_whole(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    with zipfile.ZipFile(path, "w") as archive:
         for key, value in small.items():
             with _member(archive, key) as stream:
                 np.lib.format.write_array(stream, value, allow_pickle=False)

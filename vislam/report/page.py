@@ -1,6 +1,7 @@
 """The self-contained report page."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from vislam.data import Repair
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.files import replace_whole
-from vislam.report.figures import Drawing
+from vislam.files import remove, write_text
+from vislam.legible import visible_lines
+from vislam.report.figures import FIGURES, Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
     counts_table,
@@ -56,7 +58,7 @@ def write_page(
     checks : sequence of (holds, text)
         Shown first; None where it cannot be told whether a check holds.
     """
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
     text = template.render(
         title=title,
@@ -85,8 +87,21 @@ def write_page(
         scene_js=part("scene.js"),
         plotly=Markup(get_plotlyjs()) if scene else "",
     )
-    with replace_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
+
+
+def clear_report(folder: Path) -> None:
+    """Remove the page and the figures of earlier results, which would stand beside newer metrics."""
+    remove(folder / "report.html")
+    for name in FIGURES:
+        remove(folder / "figures" / f"{name}.png")
+    with suppress(OSError):
+        (folder / "figures").rmdir()
+
+
+def _visible(value: Any) -> Any:
+    """Text of the results without control characters; what this package writes is a Markup and stays."""
+    return visible_lines(value) if type(value) is str else value
 
 
 def _scene_note(scene: Mapping[str, Any]) -> str:

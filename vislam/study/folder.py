@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam import config as configuration
-from vislam.errors import DataError, first_line
+from vislam.errors import DataError, NotWrittenError
 from vislam.files import check_writable, replace_whole
 from vislam.identity import code_digest
 from vislam.study import saved
@@ -30,7 +30,8 @@ class StudyFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.refused: set[str] = set()
-        check_writable(path / "study.json")
+        for file in ("study.json", "trials/a.json", "cases/a.yaml"):
+            check_writable(path / file)
 
     def find(self, trial: Trial) -> Result | None:
         """Result of a finished trial; None if it is not there, not taken, or was lost with its worker."""
@@ -120,7 +121,5 @@ def told(path: Path) -> Iterator[None]:
     """Turn what the file system refuses into one line."""
     try:
         yield
-    except OSError as error:
-        raise DataError(
-            f"{path}: cannot be written ({first_line(error)}); finished trials are kept"
-        ) from None
+    except NotWrittenError as error:
+        raise DataError(f"{path}: cannot be written ({error.why}); finished trials are kept") from None

@@ -9,6 +9,7 @@ from vislam.comparison import build_estimators
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
 from vislam.errors import ConfigError, DataError, Interrupted, first_line
+from vislam.files import folder_name
 from vislam.identity import code_digest, combine
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
@@ -77,7 +78,8 @@ class Plan:
         """Hash of config, code and all files; with more seeds a study goes on, so they do not count."""
         lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
         inputs = sorted({point.inputs for point in self.points})
-        return f"{self.config.name}-{combine(json.dumps(asdict(lasting)), code_digest(), self.data, *inputs)}"
+        digest = combine(json.dumps(asdict(lasting)), code_digest(), self.data, *inputs)
+        return f"{folder_name(self.config.name)}-{digest}"
 
     def refuse_bad_options(self) -> None:
         """Raise ConfigError or DataError for what would make every trial of a point fail."""
