@@ -11,18 +11,29 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from vislam.checks.settings import Check
-from vislam.errors import ConfigError
-from vislam.fields import STRICT, NonNegative, Positive
+from vislam.errors import ConfigError, first_line
+from vislam.fields import STRICT, NonNegative, Positive, Seed
+from vislam.files import open_regular
+from vislam.legible import one_line, quoted
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 from vislam.study.settings import StudyConfig
+from vislam.yaml_text import DEEPEST, parse_yaml
 
 Parsed = TypeVar("Parsed")
 
 STAMPED = ("tum", "euroc")
 """Formats of a reference that name stamps, not frames."""
+LONGEST_NAME = 128
+"""Letters of the name of a comparison."""
 _WHOLE = ("estimators", "ladder")
 """Sections in which the order matters: a config that extends another replaces them."""
+_MOST_BYTES = 1 << 18
+_MOST_FILES = 16
+"""Files that build on each other."""
+
+Title = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
+Remark = Annotated[str, Field(max_length=1000)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -35,9 +46,9 @@ class ReferenceConfig:
     """``planar_xy``: lines of frame, x, y. ``kitti``: 12 numbers a line (3 x 4, row by row), one a frame.
     ``kitti360``: the frame before the 12 numbers. ``tum``: stamp, x, y, z, qx, qy, qz, qw. ``euroc``: EuRoC's
     ground truth, with commas: stamp [ns], x, y, z, qw, qx, qy, qz, then anything."""
-    name: str
+    name: Title
     """Its name, as the report prints it."""
-    limits: str
+    limits: Remark
     """What it does not tell."""
     pose_of: Literal["imu", "left_camera"] = "imu"
     """What its positions and poses are those of."""
@@ -157,7 +168,7 @@ class HeldOutConfig:
 
     share: Annotated[float, Field(ge=0, lt=1)] = 0.1
     """Chance of each track to be held out; 0: none is, and nothing is scored by them."""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     """Seed of the choice."""
 
 
@@ -165,8 +176,9 @@ class HeldOutConfig:
 class Config:
     """One comparison."""
 
-    name: str
-    """Name of the comparison."""
+    name: Title
+    """Name of the comparison, as it stands in titles; its folder has the same name, with ``_`` and a hash for
+    what is no letter, digit, ``_``, ``.`` or ``-``."""
     data: DataConfig
     """The data."""
     noise: NoiseConfig = NoiseConfig()
@@ -186,7 +198,7 @@ class Config:
     )
     """The runs in order, each with the options of its estimator. A run is of the estimator it is named for or
     of the one that its section names: ``{mine: {estimator: ekf, gate: false}}``."""
-    ladder: dict[str, str] = field(default_factory=dict)
+    ladder: dict[str, Remark] = field(default_factory=dict)
     """What each run adds to the one before it here, by the name of the run; the report then says what that
     does to the error. Order them so that each differs from the one before by one thing."""
     checks: tuple[Check, ...] = ()
@@ -198,7 +210,7 @@ class Config:
     """How ``vislam.study`` repeats the comparison with other seeds and values; nothing else looks at it."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     """Seed of whatever is simulated."""
 
 
@@ -235,9 +247,11 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     if base is None:
         return tree
     if not isinstance(base, str):
-        raise ConfigError(f"{path}: extends: expected a file name, got {base!r}")
+        raise ConfigError(f"{path}: extends: expected a file name, got {quoted(base)}")
     if path.resolve() in above:
         raise ConfigError(f"{path}: extends: the files build on each other in a circle")
+    if len(above) >= _MOST_FILES:
+        raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
     return _over(read(path.parent / base, above=(*above, path.resolve())), tree)
 
 
@@ -252,12 +266,15 @@ def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _read_one(path: Path) -> dict[str, Any]:
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        with open_regular(path) as file:
+            content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise ValueError(f"expected at most {_MOST_BYTES} bytes, got more")
+        tree = parse_yaml(content.decode("utf-8"))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        line = str(error).splitlines()[0]
-        raise ConfigError(f"{path}: not a YAML file ({line})") from None
+        raise ConfigError(one_line(f"{path}: cannot be read ({first_line(error)})")) from None
+    except ValueError as error:
+        raise ConfigError(one_line(f"{path}: not a YAML file ({first_line(error)})")) from None
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
     return tree
@@ -270,11 +287,12 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join([*([at] if at else []), *(str(part) for part in first["loc"])])
+        where = one_line(where or "config", limit=200)
         if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
             raise ConfigError(f"{where}: unknown key; {_known(kind, first['loc'])}") from None
-        message = re.sub(r"^Value error, ", "", first["msg"])
-        got = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
-        raise ConfigError(f"{where or 'config'}: {message}{got}") from None
+        message = one_line(re.sub(r"^Value error, ", "", first["msg"]), limit=500)
+        got = "" if isinstance(first["input"], dict) else f", got {quoted(first['input'])}"
+        raise ConfigError(f"{where}: {message}{got}") from None
 
 
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
@@ -322,13 +340,16 @@ def inline(value: Any) -> str:
 
 
 def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
-    """Set a value of a tree of plain data by its dotted path."""
+    """Set a value of a tree of plain data by its dotted path; ConfigError if that leads nowhere."""
     *parents, last = dotted.split(".")
+    if not all((*parents, last)) or len(parents) >= DEEPEST:
+        raise ConfigError(f"{quoted(dotted)}: expected a key, or keys joined by single dots")
     for part in parents:
         if tree.get(part) is None or tree[part] is True:
             # A section that is left empty, or a step that is switched on with its defaults.
             tree[part] = {}
         tree = tree[part]
         if not isinstance(tree, dict):
-            raise ConfigError(f"{dotted}: '{part}' is a value and has no keys below it")
+            where = one_line(dotted, limit=200)
+            raise ConfigError(f"{where}: {quoted(part)} is a value and has no keys below it")
     tree[last] = value

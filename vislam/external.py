@@ -86,7 +86,7 @@ def _parse(text: str) -> tuple[str, ReferenceConfig]:
     first, *rest = text.split(",")
     name, equals, file = first.partition("=")
     pairs = dict(part.partition("=")[::2] for part in rest)
-    if not (equals and file and re.fullmatch(r"\w[\w.+-]*", name)) or not set(pairs) <= set(_KEYS):
+    if not (equals and file and re.fullmatch(r"\w[\w.+-]{0,47}", name)) or not set(pairs) <= set(_KEYS):
         raise ConfigError(
             f"--trajectory {text}: expected NAME=FILE, then any of format=, pose_of= and up= behind commas"
         )

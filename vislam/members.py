@@ -101,9 +101,10 @@ def _refuse_unknown_gate(config: Config) -> None:
 
 
 def _member(name: str, section: Mapping[str, Any]) -> Member:
-    if not re.fullmatch(r"\w[\w.+-]*", name):
+    if not re.fullmatch(r"\w[\w.+-]{0,47}", name):
         raise ConfigError(
-            f"estimators.{name}: expected letters, digits, '_', '.', '+' and '-', as files are named after it"
+            f"estimators.{name[:80]}: expected letters, digits, '_', '.', '+' and '-', at most 48, as files "
+            "are named after it"
         )
     shared = {item.name for item in fields(MemberConfig)}
     own = configuration.parse(

@@ -6,6 +6,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from vislam.fields import STRICT, NonNegative, Positive, Probability, Vector3
+from vislam.repair.mounting import axes_rotation
 
 SigmaVector = tuple[NonNegative, NonNegative, NonNegative]
 
@@ -151,6 +152,14 @@ class SimulationConfig:
     """Write the climb rate as the third velocity component, as KITTI's recordings have it."""
 
     def __post_init__(self) -> None:
-        """Refuse a recorded path without poses, and poses that would go unheard."""
+        """Refuse swapped depths, axes that are none, and a recorded path without poses or the reverse."""
+        if self.depth_min > self.depth_max:
+            raise ValueError(
+                f"depth_min must not be above depth_max, got {self.depth_min:g} and {self.depth_max:g}"
+            )
+        try:
+            axes_rotation(self.extrinsic_axes)
+        except ValueError as error:
+            raise ValueError(f"extrinsic_axes: {error}") from None
         if (self.path == "recorded") != (self.recorded is not None):
             raise ValueError("path: recorded and the section recorded, with its file, go together: give both")

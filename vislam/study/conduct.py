@@ -10,8 +10,9 @@ import numpy as np
 
 from vislam import config as configuration
 from vislam.comparison import provenance
-from vislam.config import Config, parse
+from vislam.config import LONGEST_NAME, Config, parse
 from vislam.errors import DivergedError
+from vislam.files import folder_name
 from vislam.report.study_ablation import DETAILS, short_table
 from vislam.report.study_labels import ERRORS, TIME, errors
 from vislam.report.study_page import write_study_page
@@ -167,5 +168,6 @@ def _records(plan: Plan, folder: StudyFolder, counts: Counter[str]) -> Iterator[
 def _write_cases(plan: Plan, folder: StudyFolder) -> None:
     """Write the config of each case, so that each can be run on its own."""
     for point in plan.points:
-        config = replace(parse(Config, point.tree), name=f"{plan.config.name}-{slug(point.values[CASE])}")
-        folder.write_text(folder.path / "cases" / f"{config.name}.yaml", configuration.dump(config))
+        case = f"{plan.config.name}-{slug(point.values[CASE])}"
+        config = replace(parse(Config, point.tree), name=case[:LONGEST_NAME])
+        folder.write_text(folder.path / "cases" / f"{folder_name(case)}.yaml", configuration.dump(config))
