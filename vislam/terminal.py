@@ -9,10 +9,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from vislam.legible import one_line
 from vislam.report.table import Table
 
 _FEWEST_COLUMNS = 100
 """Width of a table that goes to a file or a pipe."""
+_LONGEST_NOTE = 10_000
+"""Letters of a note."""
 _REMEMBERED = 3600.0
 """Time over which a bar averages its speed [s]: a trial of a study may take minutes."""
 
@@ -27,14 +30,14 @@ class Terminal:
             self._console = Console(highlight=False, quiet=quiet, width=_FEWEST_COLUMNS)
 
     def note(self, text: str) -> None:
-        """Print a line."""
-        self._console.print(text, markup=False, soft_wrap=True)
+        """Print a line, whatever is in it."""
+        self._console.print(one_line(text, limit=_LONGEST_NOTE), markup=False, soft_wrap=True)
 
     @contextmanager
     def progress(self, title: str, total: int) -> Iterator[Progress]:
         """Show a bar while the block works; ``update(0, completed=...)`` moves it."""
         bar = Progress(
-            TextColumn("{task.description:16}"),
+            TextColumn("{task.description:16}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
@@ -44,16 +47,16 @@ class Terminal:
             speed_estimate_period=_REMEMBERED,
         )
         with bar:
-            bar.add_task(title, total=total)
+            bar.add_task(one_line(title), total=total)
             yield bar
 
     def rows(self, header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str) -> None:
         """Print a table of text."""
-        drawn = RichTable(title=title)
+        drawn = RichTable(title=Text(one_line(title), style="table.title"))
         for index, name in enumerate(header):
-            drawn.add_column(Text(name), justify="left" if index == 0 else "right")
+            drawn.add_column(Text(one_line(name)), justify="left" if index == 0 else "right")
         for row in rows:
-            drawn.add_row(*(Text(cell) for cell in row))
+            drawn.add_row(*(Text(one_line(cell)) for cell in row))
         self._console.print(drawn)
 
     def table(self, table: Table, *, title: str, path: Path) -> None:

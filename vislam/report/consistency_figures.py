@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
+from vislam.legible import literal
 from vislam.report.shown import COLOURS, Shown
 from vislam.run import Run
 
@@ -43,7 +44,7 @@ def nees(shown: Shown) -> Figure | None:
     axes = figure.subplots()
     for name, claim in claims.items():
         values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
-        axes.plot(claim.index, values, lw=0.9, color=shown.colour(name), label=name)
+        axes.plot(claim.index, values, lw=0.9, color=shown.colour(name), label=literal(name))
     freedom = next(iter(claims.values())).whitened.shape[1]
     low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
@@ -69,7 +70,7 @@ def bands(shown: Shown) -> Figure | None:
         reach = 0.0
         for name, claim in claims.items():
             error, limit = scale * claim.error[:, index], _SIGMAS * scale * claim.sigma[:, index]
-            axes.plot(claim.index, error, lw=0.9, color=shown.colour(name), label=name)
+            axes.plot(claim.index, error, lw=0.9, color=shown.colour(name), label=literal(name))
             axes.fill_between(claim.index, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
             reach = max(reach, 1.5 * float(np.abs(error).max()))
         axes.set_ylabel(f"{component} [{unit}]")
@@ -89,7 +90,7 @@ def coverage(shown: Shown) -> Figure | None:
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="as claimed")
     for name, claim in claims.items():
-        axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=name)
+        axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=literal(name))
     axes.set(xlabel="claimed share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
     axes.set_aspect("equal")
     axes.legend(loc="best", fontsize=8)
@@ -106,7 +107,7 @@ def whiteness(shown: Shown) -> Figure | None:
     width = 0.8 / len(there)
     for index, (name, found) in enumerate(there.items()):
         at = found.lag - 0.4 + (index + 0.5) * width
-        axes.bar(at, found.autocorrelation, width=width, color=shown.colour(name), label=name)
+        axes.bar(at, found.autocorrelation, width=width, color=shown.colour(name), label=literal(name))
         axes.axhspan(-found.band, found.band, color="0.8", lw=0, zorder=0)
     axes.axhline(0.0, color="k", lw=0.6)
     axes.set(xlabel="lag [frames]", ylabel="autocorrelation of the NIS", xlim=(0.4, LAGS + 0.6))
@@ -124,7 +125,7 @@ def distances(shown: Shown) -> Figure | None:
     for index, (pair, found) in enumerate(pairs.items()):
         label, colour = " and ".join(pair), COLOURS[index % len(COLOURS)]
         squared = np.maximum(found.squared / 6.0, _LOWEST)
-        axes.plot(found.frame, squared, lw=0.9, color=colour, label=label)
+        axes.plot(found.frame, squared, lw=0.9, color=colour, label=literal(label))
         frame = found.parting()
         if frame is not None:
             axes.axvline(frame, color=colour, lw=0.9, ls=":")
@@ -146,7 +147,7 @@ def parting(shown: Shown) -> Figure | None:
     for axes, (pair, frame) in zip(panels, parted.items(), strict=False):
         for name in pair:
             _ellipses(axes, shown.runs[name], frame, colour=shown.colour(name))
-        axes.set_title(f"{pair[0]} and {pair[1]}: frame {frame}", fontsize=9)
+        axes.set_title(literal(f"{pair[0]} and {pair[1]}: frame {frame}"), fontsize=9)
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")
         axes.legend(loc="best", fontsize=7)
@@ -162,7 +163,7 @@ def _ellipses(axes: Axes, run: Run, frame: int, *, colour: str) -> None:
         @ (run.world_T_imu[:, :3, 3] - run.world_T_imu[0, :3, 3]).T
     )
     near = np.flatnonzero(np.abs(run.frame - frame) <= _REACH)
-    axes.plot(*position[:2, near], color=colour, lw=1, label=run.name)
+    axes.plot(*position[:2, near], color=colour, lw=1, label=literal(run.name))
     turn = run.world_T_imu[0, :3, :3].T @ run.world_T_imu[:, :3, :3]
     for row in near[np.linspace(0, len(near) - 1, min(_ELLIPSES, len(near))).astype(int)]:
         cov = (turn[row] @ run.pose_cov[row, 3:, 3:] @ turn[row].T)[:2, :2]

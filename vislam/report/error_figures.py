@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vislam.evaluation.evaluate import headline
+from vislam.legible import literal
 from vislam.report.shown import COLOURS, Shown
 
 _WIDTH = 0.8
@@ -36,7 +37,7 @@ def segment_errors(shown: Shown) -> Figure | None:
             capprops={"color": colour},
             medianprops={"color": "black"},
         )
-        drawn["boxes"][0].set_label(name)
+        drawn["boxes"][0].set_label(literal(name))
     axes.set_xticks(range(len(lengths)), [f"{length:g} m" for length in lengths])
     axes.set(xlabel="length of the segment", ylabel="translation error [m]", yscale="log")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
@@ -59,7 +60,7 @@ def ladder(shown: Shown) -> Figure | None:
         bars = axes.barh(place + offset, values, height=0.38, color=colour, label=label)
         told = [f"{value:.2f}" if np.isfinite(value) else "incomplete" for value in values]
         axes.bar_label(bars, told, fontsize=7, padding=3)
-    axes.set_yticks(place, [f"{rung.run}: {rung.adds}" for rung in rungs], fontsize=8)
+    axes.set_yticks(place, [literal(f"{rung.run}: {rung.adds}") for rung in rungs], fontsize=8)
     axes.invert_yaxis()
     axes.set(xlabel="ATE [m]", xscale="log")
     axes.margins(x=0.15)
@@ -79,7 +80,7 @@ def accuracy_against_time(shown: Shown) -> Figure | None:
         if error is None or seconds is None or not run.complete:
             continue
         axes.plot(seconds, error, "o", ms=9, color=shown.colour(name))
-        axes.annotate(name, (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
+        axes.annotate(literal(name), (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
     axes.set(xlabel="total time [s]", ylabel=label, xscale="log", yscale="log")
     if not axes.lines:
         return None

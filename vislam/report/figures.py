@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from vislam.evaluation.trajectory import distance_driven
+from vislam.legible import literal
 from vislam.report import consistency_figures, error_figures
 from vislam.report.shown import Shown
 from vislam.report.top_view import top_view
@@ -65,7 +66,7 @@ def _height_attitude(rows: list[Axes], stamp: Array, pose: Array, *, colour: str
     angles = Rotation.from_matrix(pose[:, :3, :3]).as_euler("xyz", degrees=True)
     angles[:, 2] = np.rad2deg(np.unwrap(np.deg2rad(angles[:, 2])))
     for axes, values in zip(rows, [pose[:, 2, 3], *angles.T], strict=True):
-        axes.plot(stamp, values, lw=1, color=colour, label=label)
+        axes.plot(stamp, values, lw=1, color=colour, label=literal(label))
 
 
 def error_over_distance(shown: Shown) -> Figure | None:
@@ -88,12 +89,12 @@ def error_over_distance(shown: Shown) -> Figure | None:
             ms=2,
             lw=0.8,
             color=colour,
-            label=name,
+            label=literal(name),
         )
         if np.isfinite(run.pose_cov_causal).any() and run.dof.sum() > 0:
             spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov_causal[:, 3:, 3:])[:, -1])
             axes.plot(driven, spread, "--", lw=0.9, alpha=0.8, color=colour)
-    axes.set(xlabel="distance driven [m]", ylabel=f"position error to {reference.name} [m]")
+    axes.set(xlabel="distance driven [m]", ylabel=literal(f"position error to {reference.name} [m]"))
     axes.set(yscale="log", ylim=(_SMALLEST_ERROR, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return figure
@@ -111,7 +112,13 @@ def nis_over_time(shown: Shown) -> Figure | None:
         window = np.ones(min(_SMOOTHING, len(run.dof)))
         dof = np.convolve(run.dof, window, mode="same")
         nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
-        axes.plot(shown.time(run), nis, lw=1, color=shown.colour(name), label=f"{name}, {_SMOOTHING} frames")
+        axes.plot(
+            shown.time(run),
+            nis,
+            lw=1,
+            color=shown.colour(name),
+            label=literal(f"{name}, {_SMOOTHING} frames"),
+        )
         low, high = (chi2.ppf(share, np.maximum(dof, 1.0)) / np.maximum(dof, 1.0) for share in (0.025, 0.975))
         first = not axes.collections
         label = "95 % interval of a consistent filter" if first else None
@@ -128,7 +135,7 @@ def step_time(shown: Shown) -> Figure:
     axes = figure.subplots()
     for name, run in shown.runs.items():
         if len(run.step_time):
-            axes.semilogy(1e3 * run.step_time, lw=0.6, color=shown.colour(name), label=name)
+            axes.semilogy(1e3 * run.step_time, lw=0.6, color=shown.colour(name), label=literal(name))
     axes.set(xlabel="frame", ylabel="step time [ms]")
     axes.legend(loc="best", fontsize=8)
     return figure

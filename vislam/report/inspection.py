@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vislam.files import replace_whole
+from vislam.files import replace_whole, write_text
 from vislam.inspection import Inspection
+from vislam.legible import literal
 from vislam.types import Array
 
 SCHEMA_VERSION = 1
@@ -29,8 +30,7 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool) -> Non
         "settings": _finite(result.settings),
         "unknown": result.unknown,
     }
-    with replace_whole(folder / "inspection.json") as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "inspection.json", json.dumps(document, indent=1) + "\n")
     mark = " [SIMULATED]" if stand_in else ""
     for name, figure in figures(result, title=f"{result.name}{mark}").items():
         with replace_whole(folder / f"{name}.png") as temporary:
@@ -47,7 +47,7 @@ def figures(result: Inspection, *, title: str) -> dict[str, Figure]:
     if panels:
         drawn["checks"] = _checks(series, panels)
     for figure in drawn.values():
-        figure.suptitle(title, parse_math=False)
+        figure.suptitle(literal(title))
     return drawn
 
 

@@ -4,6 +4,7 @@ from importlib.resources import files
 
 from markupsafe import Markup, escape
 
+from vislam.legible import visible
 from vislam.report.figures import Drawing
 from vislam.report.shown import COLOURS
 from vislam.report.svg import themed_svg
@@ -24,10 +25,10 @@ def inline_svg(name: str, drawing: Drawing) -> Markup:
 
 def draw_table(table: Table, caption: str, kind: str) -> Markup:
     """A table in a box of its own that scrolls; the first cell of a row is the row's header."""
-    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
+    header = "".join(f'<th scope="col">{escape(visible(cell))}</th>' for cell in table.header)
     body = "".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        f'<tr><th scope="row">{escape(visible(row[0]))}</th>'
+        + "".join(f"<td>{escape(visible(cell))}</td>" for cell in row[1:])
         + "</tr>"
         for row in table.rows
     )

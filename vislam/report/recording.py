@@ -3,6 +3,7 @@
 Only this module imports rerun, and only who asks for a recording imports this module.
 """
 
+import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ from vislam.data.reference import Reference
 from vislam.errors import ConfigError
 from vislam.evaluation.trajectory_scores import headline_alignment
 from vislam.files import replace_whole
+from vislam.legible import one_line
 from vislam.record import Record
 from vislam.report.placement import origin, place, principal_axes
 from vislam.report.shown import colours
@@ -45,15 +47,17 @@ def write_recording(path: Path, runs: Mapping[str, Run], record: Record, *, titl
     """
     drawn = {name: run for name, run in runs.items() if len(run.frame)}
     colour = {name: int(f"{code[1:]}ff", 16) for name, code in colours(runs).items()}
-    with replace_whole(path) as temporary, warnings.catch_warnings():
+    with warnings.catch_warnings():
         # The SDK warns of what it cannot log, and goes on without it.
         warnings.simplefilter("error", rr.error_utils.RerunWarning)
         recording = rr.RecordingStream("vislam")
         if not recording.is_enabled():
             raise ConfigError("--rerun: the environment variable RERUN switches it off; unset it")
-        recording.save(temporary, _blueprint(list(drawn)))
+        # Into memory first: on a full disk its own file sink leaves half a file, or waits for ever.
+        content = recording.memory_recording()
         try:
-            recording.send_recording_name(title)
+            recording.send_blueprint(_blueprint(list(drawn)), make_active=False)
+            recording.send_recording_name(one_line(title))
             recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             about = rr.TextDocument(_about(runs, record, title), media_type=rr.MediaType.MARKDOWN)
             recording.log(_ABOUT, about, static=True)
@@ -61,8 +65,11 @@ def write_recording(path: Path, runs: Mapping[str, Run], record: Record, *, titl
                 _log_reference(recording, record.reference)
             for name, run in drawn.items():
                 _log_run(recording, name, run.levelled(), record, colour=colour[name])
+            written = content.drain_as_bytes()
         finally:
             recording.disconnect()
+    with replace_whole(path) as temporary:
+        temporary.write_bytes(written)
 
 
 def _blueprint(names: list[str]) -> rrb.Blueprint:
@@ -93,15 +100,22 @@ def _entity(*parts: str) -> str:
 
 
 def _about(runs: Mapping[str, Run], record: Record, title: str) -> str:
-    lines = [f"# {title}", ""]
+    lines = [f"# {_literal(title)}", ""]
     if record.stand_in:
         lines += ["**The data are simulated**, in place of a recording or without one.", ""]
-    lines += [f"- {note}" for note in record.notes]
-    lines += [f"- {name} is incomplete: {run.error}" for name, run in runs.items() if not run.complete]
+    lines += [f"- {_literal(note)}" for note in record.notes]
+    lines += [
+        f"- {name} is incomplete: {_literal(run.error)}" for name, run in runs.items() if not run.complete
+    ]
     lines += [f"- {line}" for line in _world(record.reference)]
     lines += ["", "## Provenance", ""]
     lines += [f"- {key}: {value}" for key, value in record.provenance.items()]
     return "\n".join(lines)
+
+
+def _literal(text: str) -> str:
+    """Text that Markdown leaves as it is."""
+    return re.sub(r"([\\`*_\[\]<>#|])", r"\\\1", one_line(text))
 
 
 def _world(reference: Reference | None) -> list[str]:
@@ -110,8 +124,9 @@ def _world(reference: Reference | None) -> list[str]:
     if reference is None:
         return ["There is no reference. Each run is in its own world, z up.", ellipsoids]
     kind = headline_alignment(reference.planar)
+    name, limits = _literal(reference.name), _literal(reference.limits)
     lines = [
-        f"Reference: {reference.name} ({reference.limits}). The origin is its first position.",
+        f"Reference: {name} ({limits}). The origin is its first position.",
         f"Each run is aligned with it ({kind}, over all positions that both have) and drawn at its point; a "
         "run with fewer than three of them stays in its own world.",
         ellipsoids,

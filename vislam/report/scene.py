@@ -1,11 +1,13 @@
 """What the page's 3-D scene draws, as plain data; ``scene.js`` draws it."""
 
 import base64
+from html import escape
 from typing import Any
 
 import numpy as np
 
 from vislam.geometry import se3
+from vislam.legible import visible
 from vislam.report.shown import Shown
 from vislam.run import Run
 from vislam.types import Array
@@ -38,7 +40,8 @@ def scene_data(shown: Shown) -> dict[str, Any]:
         "reference": None
         if reference is None
         else {
-            "name": reference.name,
+            # Plotly reads tags in names.
+            "name": escape(visible(reference.name), quote=False),
             "flat": reference.planar,
             "position": _packed(_solid(reference.position)),
         },

@@ -8,6 +8,7 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from vislam.geometry import se3
+from vislam.legible import literal
 from vislam.report.shown import Shown
 from vislam.run import Run
 from vislam.types import Array
@@ -74,9 +75,9 @@ def _path(shown: Shown, run: Run) -> Array:
 def _paths(axes: Axes, shown: Shown) -> None:
     axes.set_title("all paths", fontsize=9)
     for name, run in shown.runs.items():
-        axes.plot(*_path(shown, run).T, color=shown.colour(name), lw=1.2, label=name)
+        axes.plot(*_path(shown, run).T, color=shown.colour(name), lw=1.2, label=literal(name))
     if shown.reference is not None:
-        axes.plot(*shown.reference.position[:, :2].T, "k.", ms=2, label=shown.reference.name)
+        axes.plot(*shown.reference.position[:, :2].T, "k.", ms=2, label=literal(shown.reference.name))
 
 
 def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathCollection | None:
@@ -100,5 +101,6 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
         else:
             axes.plot(*points.T, ".", ms=1.2, color="0.5", rasterized=True)
         axes.plot(*_path(shown, run).T, color=shown.colour(name), lw=1.0)
-        axes.set_title(f"map of {name}" + ("" if name in sigma else " (no covariances)"), fontsize=9)
+        covariances = "" if name in sigma else " (no covariances)"
+        axes.set_title(literal(f"map of {name}{covariances}"), fontsize=9)
     return coloured
