@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import add_config_options, answer, load_config
+from vislam.command import Parser, add_config_options, answer, load_config
 from vislam.errors import ConfigError
 
 _BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.calibrate", description=__doc__)
+    parser = Parser(prog="python -m vislam.calibrate", description=__doc__)
     add_config_options(parser)
     add = parser.add_argument
     add(

@@ -12,10 +12,26 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-import yaml
-
-from vislam.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted
+from vislam.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted, first_line
 from vislam.files import check_writable
+from vislam.legible import one_line, quoted
+from vislam.streams import lasting_streams
+from vislam.yaml_text import parse_yaml
+
+_log = logging.getLogger("vislam.command")
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser of a command's options, which says in one line what is wrong with them."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; whoever reads ``--help`` may stop in the middle."""
+        with lasting_streams():
+            return super().parse_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong and exit."""
+        self.exit(2, f"vislam: {one_line(message)}; --help says what there is\n")
 
 
 def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
@@ -85,8 +101,11 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
     for item in options.set:
         key, equals, text = item.partition("=")
         if not equals:
-            raise ConfigError(f"--set {item}: expected KEY=VALUE")
-        found[key] = yaml.safe_load(text)
+            raise ConfigError(f"--set {quoted(item)}: expected KEY=VALUE")
+        try:
+            found[key] = parse_yaml(text)
+        except ValueError as error:
+            raise ConfigError(f"--set {quoted(key)}: not a YAML value ({error})") from None
     if options.seed is not None:
         found["seed"] = options.seed
     return found
@@ -94,25 +113,31 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 def answer(work: Callable[[], int], *, verbose: bool) -> int:
     """Do the work of a command and return its exit code; what goes wrong becomes one line."""
-    logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
-    try:
-        with interruptible():
-            return work()
-    except (ConfigError, DataError) as error:
-        print(f"vislam: {error}", file=sys.stderr)
-        return 2
-    except DivergedError as error:
-        print(f"vislam: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("vislam: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except ImportError as error:
-        # A signal while gtsam is imported comes out of it as this.
-        if not isinstance(error.__cause__, Interrupted):
-            raise
-        print("vislam: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    with lasting_streams():
+        logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
+        try:
+            with interruptible():
+                return work()
+        except (ConfigError, DataError) as error:
+            return _fail(str(error), 2)
+        except DivergedError as error:
+            return _fail(str(error), 1)
+        except (KeyboardInterrupt, ImportError) as error:
+            # A signal while gtsam is imported comes out of it as an ImportError.
+            if isinstance(error, ImportError) and not isinstance(error.__cause__, Interrupted):
+                raise
+            return _fail("interrupted", INTERRUPTED)
+        except MemoryError:
+            return _fail("there is not enough memory; use fewer frames, tracks, estimators or processes", 2)
+        except (OSError, UnicodeError) as error:
+            _log.info("where it came from", exc_info=True)
+            file = getattr(error, "filename", None)
+            return _fail(f"{'' if file is None else f'{file}: '}{first_line(error)}", 2)
+
+
+def _fail(said: str, code: int) -> int:
+    print(f"vislam: {one_line(said)}", file=sys.stderr)
+    return code
 
 
 @contextmanager

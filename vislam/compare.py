@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.command import (
+    Parser,
     add_check_options,
     add_config_options,
     answer,
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.compare", description=__doc__)
+    parser = Parser(prog="python -m vislam.compare", description=__doc__)
     add_config_options(parser)
     add = parser.add_argument
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")

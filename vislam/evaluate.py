@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import add_check_options, answer, refuse_bad_check_options
+from vislam.command import Parser, add_check_options, answer, refuse_bad_check_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.evaluate", description=__doc__)
+    parser = Parser(prog="python -m vislam.evaluate", description=__doc__)
     add = parser.add_argument
     add("results", type=Path, help="results folder of a comparison")
     add(
@@ -39,7 +39,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.external import with_trajectories  # noqa: PLC0415
-    from vislam.results import SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
+    from vislam.files import check_writable  # noqa: PLC0415
+    from vislam.results import PLACES, SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     refuse_bad_check_options(options)
@@ -49,6 +50,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     )
     checklist.refuse_other(digest=results.record.digest, reference=results.record.reference)
     folder = options.out or options.results
+    for file in PLACES:
+        check_writable(folder / file)
     published = publish(results, folder, checklist, report=not options.no_report)
     announce(results, published, Terminal())
     return conclude(results, published, junit=options.junit, rerun=options.rerun)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vislam.command import add_config_options, answer, overrides
+from vislam.command import Parser, add_config_options, answer, overrides
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.inspect", description=__doc__)
+    parser = Parser(prog="python -m vislam.inspect", description=__doc__)
     add_config_options(parser, required=False)
     add = parser.add_argument
     add("--file", type=Path, help="a course file (.npz) in place of a config")
@@ -35,7 +35,7 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam.data.find import search_path  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
     from vislam.errors import ConfigError, DataError  # noqa: PLC0415
-    from vislam.files import check_writable, replace_whole  # noqa: PLC0415
+    from vislam.files import check_writable, write_text  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
@@ -76,14 +76,14 @@ def _inspect(options: argparse.Namespace) -> int:
     if options.write_config is not None:
         folders = search_path(options.data_dir, config_dir=home)
         text = proposed_config(tree, result, folders=folders, written_to=options.write_config)
-        with replace_whole(options.write_config) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(options.write_config, text)
         terminal.note(f"config: {options.write_config}")
     return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
 
 
 def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     """Config of a bare file: nothing repaired, so that every trap is found."""
+    from vislam.config import LONGEST_NAME  # noqa: PLC0415
     from vislam.data.find import find_file, not_found, search_path  # noqa: PLC0415
     from vislam.errors import DataError  # noqa: PLC0415
 
@@ -93,7 +93,7 @@ def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     if found is None:
         raise DataError(not_found(str(file), folders))
     nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
-    return {"name": file.stem, "data": {"file": str(found.resolve()), "repair": nothing}}
+    return {"name": file.stem[:LONGEST_NAME], "data": {"file": str(found.resolve()), "repair": nothing}}
 
 
 if __name__ == "__main__":

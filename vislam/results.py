@@ -14,7 +14,7 @@ from vislam.config import Config
 from vislam.errors import INTERRUPTED, DataError
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
-from vislam.files import replace_whole
+from vislam.files import replace_whole, write_text
 from vislam.keeping import RUNS
 from vislam.record import Record
 from vislam.report.figures import all_figures
@@ -71,8 +71,7 @@ class Results:
 
     def begin(self, folder: Path) -> None:
         """Write what there is before any run: config and record, each whole or not at all."""
-        with replace_whole(folder / "config.yaml") as temporary:
-            temporary.write_text(configuration.dump(self.config), encoding="utf-8")
+        write_text(folder / "config.yaml", configuration.dump(self.config))
         self.record.save(folder / RECORD)
 
     @classmethod
@@ -131,8 +130,7 @@ def publish(results: Results, folder: Path, checklist: Checklist, *, report: boo
     document = metrics_document(results, evaluation, rungs, verdicts)
     clear_report(folder)
     written = folder / "metrics.json"
-    with replace_whole(written) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_text(written, json.dumps(document, indent=1) + "\n")
     if report:
         written = folder / "report.html"
         _write_report(results, evaluation, rungs, verdicts, path=written)

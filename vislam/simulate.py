@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import answer, load_config
+from vislam.command import Parser, answer, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.simulate", description=__doc__)
+    parser = Parser(prog="python -m vislam.simulate", description=__doc__)
     add = parser.add_argument
     add("--config", type=Path, required=True, help="YAML configuration with a data.simulation")
     add("--out", type=Path, required=True, help="file to write, FILE.npz; the truth goes to FILE_truth.tum")

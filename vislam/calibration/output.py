@@ -4,7 +4,7 @@ from pathlib import Path
 
 from vislam import config as configuration
 from vislam.config import Config
-from vislam.files import check_writable, replace_whole
+from vislam.files import check_writable, write_text
 
 
 class Output:
@@ -31,5 +31,4 @@ class Output:
         self._write(configuration.dump(config))
 
     def _write(self, text: str) -> None:
-        with replace_whole(self.path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(self.path, text)

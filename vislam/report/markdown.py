@@ -2,8 +2,13 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from vislam.command import Parser, answer
+from vislam.errors import DataError
+from vislam.files import open_regular
 
 _ROWS = (
     ("ate_rmse", "ATE, SE(3) aligned [m]", 2),
@@ -42,5 +47,24 @@ def results_table(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m vislam.report.markdown", description=__doc__)
+    parser.add_argument("metrics", type=Path, help="metrics.json of a comparison")
+    options = parser.parse_args(arguments)
+    return answer(lambda: _print(options.metrics), verbose=False)
+
+
+def _print(path: Path) -> int:
+    with open_regular(path) as file:
+        content = file.read()
+    try:
+        table = results_table(json.loads(content))
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DataError(f"{path}: expected the metrics.json of a comparison, got {error!r}") from None
+    print(table)
+    return 0
+
+
 if __name__ == "__main__":
-    print(results_table(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))))
+    sys.exit(main())

@@ -9,7 +9,7 @@ import jinja2
 from markupsafe import Markup
 
 from vislam.errors import first_line
-from vislam.files import replace_whole
+from vislam.files import write_text
 from vislam.report import study_ablation
 from vislam.report.figures import Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
@@ -85,8 +85,7 @@ def write_study_page(
         css=part("page.css"),
         page_js=part("page.js"),
     )
-    with replace_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _drawn(

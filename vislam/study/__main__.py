@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import add_override_options, answer, load_config
+from vislam.command import Parser, add_override_options, answer, load_config
 from vislam.errors import ConfigError
 
 
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.study", description=__doc__)
+    parser = Parser(prog="python -m vislam.study", description=__doc__)
     add_override_options(parser)
     add = parser.add_argument
     add("--out", type=Path, default=Path("studies"), help="folder of the studies (default: studies)")
