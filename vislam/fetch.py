@@ -1,6 +1,6 @@
 """``python -m vislam.fetch``: download recordings into the user cache, where ``vislam.compare`` finds them.
 
-Exit codes: 0 done, 2 could not fetch (nothing incomplete is kept).
+Exit codes: 0 done, 2 could not fetch, 130 interrupted (nothing incomplete is kept).
 """
 
 import argparse
@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vislam.command import Parser, answer
 from vislam.data import download
 from vislam.errors import DataError
 from vislam.terminal import Terminal
@@ -18,17 +19,11 @@ _DAY = 86400.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = _parser().parse_args(arguments)
-    try:
-        return _list(options) if options.list else _fetch(options)
-    except DataError as error:
-        print(f"vislam: {error}", file=sys.stderr)
-    except KeyboardInterrupt:
-        print("vislam: stopped before the end; run it again to fetch the rest", file=sys.stderr)
-    return 2
+    return answer(lambda: _list(options) if options.list else _fetch(options), verbose=False)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m vislam.fetch", description=__doc__)
+    parser = Parser(prog="python -m vislam.fetch", description=__doc__)
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="recordings to fetch")
     add("--list", action="store_true", help="say what can be fetched and stop")
@@ -40,6 +35,13 @@ def _parser() -> argparse.ArgumentParser:
         default=download.TIMEOUT,
         metavar="SECONDS",
         help=f"give a server up after so long without a byte (default: {download.TIMEOUT:g})",
+    )
+    add(
+        "--deadline",
+        type=_seconds,
+        metavar="SECONDS",
+        help="give a server up that has not given a whole file after so long (default: two timeouts and what "
+        f"the file takes at {download.SLOWEST / 1000.0:g} kB/s)",
     )
     return parser
 
@@ -84,6 +86,7 @@ def _fetch_one(
             base_url=options.base_url,
             folder=options.folder,
             timeout=options.timeout,
+            deadline=options.deadline,
             say=terminal.note,
             watch=lambda here: bar.update(bar.task_ids[0], completed=here),
         )

@@ -74,6 +74,18 @@ class Handler(BaseHTTPRequestHandler):
     def hung_up(self):
         self.close_connection = True
 
+    def trickling(self):
+        self.good(b"")
+        for value in CONTENT:
+            self.wfile.write(bytes([value]))
+            if self.server.released.wait(0.02):
+                break
+
+    def trickling_head(self):
+        self.wfile.write(b"HTTP/1.1 200 OK\r\nX-Filler: ")
+        while not self.server.released.wait(0.02):
+            self.wfile.write(b"a")
+
     def absent(self):
         self.send_error(404)
 
@@ -153,7 +165,7 @@ def test_a_fetched_file_is_found_and_not_fetched_again(server, cache, capsys):
     found = find_file("tiny.npz", search_path(None))
     assert found == cache / "tiny.npz"
     assert found.read_bytes() == CONTENT
-    assert found.stat().st_mode & 0o777 == 0o644
+    assert found.stat().st_mode & 0o133 == 0
     assert fetch(server.url) == 0
     assert f"tiny.npz: already in {cache} and good" in capsys.readouterr().out
     assert server.asked == ["/tiny.npz"]
@@ -299,7 +311,70 @@ def test_a_disk_that_takes_only_part_gets_one_line_and_2(server, cache):
     assert fetch(server.url) == 0
 
 
-def test_an_interrupt_gets_one_line_and_2(server, cache):
+@pytest.mark.parametrize("behaviour", ["trickling", "trickling_head", "silent"])
+def test_a_server_has_until_the_deadline_for_the_whole_file(behaviour, server, cache, capsys):
+    server.behaviour = behaviour
+    assert fetch(server.url, "--deadline", "0.3") == 2
+    said = one_line(capsys.readouterr().err)
+    assert f"{server.url}/tiny.npz: expected {len(CONTENT)} bytes in 0.3 s, got " in said
+    assert files_in(cache) == []
+
+
+def test_the_next_mirror_has_a_deadline_of_its_own(server, cache, monkeypatch):
+    with_mirrors(monkeypatch, server, "trickling", "good")
+    assert main(["tiny", "--deadline", "0.5"]) == 0
+    assert (cache / "tiny.npz").read_bytes() == CONTENT
+
+
+def test_without_a_deadline_a_server_has_as_long_as_the_file_is_large(server, cache, capsys, monkeypatch):
+    monkeypatch.setattr(download, "SLOWEST", 1e9)
+    server.behaviour = "trickling"
+    assert fetch(server.url, "--timeout", "0.2") == 2
+    assert "bytes in 0.4" in one_line(capsys.readouterr().err)
+
+
+def a_pipe(path):
+    os.mkfifo(path)
+
+
+def a_folder(path):
+    path.mkdir()
+
+
+def a_loop(path):
+    path.symlink_to(path.name)
+
+
+def a_device(path):
+    path.symlink_to("/dev/zero")
+
+
+def a_link_to_a_wrong_file(path):
+    path.with_name("other").write_bytes(CONTENT[:-1] + b"x")
+    path.symlink_to("other")
+
+
+@pytest.mark.parametrize("make", [a_pipe, a_folder, a_loop, a_device, a_link_to_a_wrong_file])
+def test_a_cache_with_something_else_under_the_name_gets_one_line_and_2(make, server, cache, capsys):
+    cache.mkdir()
+    make(cache / "tiny.npz")
+    before = (cache / "tiny.npz").lstat().st_ino
+    assert fetch(server.url) == 2
+    assert f"tiny.npz: cannot be written in {cache}: it is a " in one_line(capsys.readouterr().err)
+    assert server.asked == []
+    assert (cache / "tiny.npz").lstat().st_ino == before
+
+
+def test_a_link_to_the_good_file_is_good(server, cache, capsys):
+    cache.mkdir()
+    (cache / "other").write_bytes(CONTENT)
+    (cache / "tiny.npz").symlink_to("other")
+    assert fetch(server.url) == 0
+    assert "already in" in capsys.readouterr().out
+    assert server.asked == []
+
+
+def test_an_interrupt_gets_one_line_and_130(server, cache):
     server.behaviour = "stalled"
     # A shell may start its background jobs with the interrupt ignored.
     prelude = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
@@ -307,11 +382,10 @@ def test_an_interrupt_gets_one_line_and_2(server, cache):
         deadline = time.monotonic() + 20.0
         while not server.asked and time.monotonic() < deadline:
             time.sleep(0.02)
-        assert files_in(cache) != [], "nothing to clean up, the test shows nothing"
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=20.0)
-    assert running.returncode == 2
-    assert "stopped before the end" in one_line(said)
+    assert running.returncode == 130
+    assert one_line(said) == "vislam: interrupted\n"
     assert files_in(cache) == []
 
 

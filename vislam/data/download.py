@@ -1,7 +1,7 @@
 """Recordings that can be fetched: where they are, what they must be, and how they get into the user cache.
 
 A file is good if its SHA-256 is the pinned one. Nothing else is ever given its name: it is checked in memory,
-written under a temporary name and renamed.
+written under a temporary name and renamed. However slow a server is, it has until a deadline.
 """
 
 import errno
@@ -9,14 +9,18 @@ import hashlib
 import logging
 import os
 import shutil
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from vislam.errors import DataError
+from vislam.errors import DataError, NotWrittenError
+from vislam.files import check_writable, open_regular, replace_whole
 
 TIMEOUT = 30.0
 """Seconds without a byte after which a server is given up."""
+SLOWEST = 20_000.0
+"""Bytes a second that a server must give on the whole, if no deadline is named."""
 
 LICENCE = (
     "KITTI and KITTI-360 are published for non-commercial use with attribution "
@@ -125,10 +129,14 @@ class _Bounded:
 
     def __init__(self, limit: int, watch: Callable[[int], None]) -> None:
         self.content = bytearray()
+        self.wanted = True
+        """Whether anybody waits for it."""
         self._limit = limit
         self._watch = watch
 
     def write(self, chunk: bytes) -> None:
+        if not self.wanted:
+            raise ValueError("expected before the deadline")
         if len(self.content) + len(chunk) > self._limit:
             raise ValueError(f"expected {self._limit} bytes, got more")
         self.content += chunk
@@ -176,6 +184,7 @@ def fetch(
     base_url: str | None = None,
     folder: Path | None = None,
     timeout: float = TIMEOUT,
+    deadline: float | None = None,
     say: Callable[[str], None] = _log.info,
     watch: Callable[[int], None] = lambda _: None,
 ) -> list[Path]:
@@ -190,6 +199,9 @@ def fetch(
         In place of the cache.
     timeout : float
         Seconds without a byte after which a server is given up.
+    deadline : float, optional
+        Seconds after which a server that has not given a whole file is given up; without it, what it takes at
+        ``SLOWEST``, and twice the timeout.
     say : callable
         Is given a line on what became of each file.
     watch : callable
@@ -209,9 +221,10 @@ def fetch(
         def count(received: int, before: int = before) -> None:
             watch(before + received)
 
+        limits = _Limits(timeout, file.size / SLOWEST + 2.0 * timeout if deadline is None else deadline)
         try:
-            became = _bring(file, place, urls=urls, timeout=timeout, watch=count)
-        except OSError as error:
+            became = _bring(file, place, urls=urls, limits=limits, watch=count)
+        except NotWrittenError as error:
             raise DataError(_not_written(file, place, error)) from error
         say(became)
         before += file.size
@@ -219,25 +232,37 @@ def fetch(
     return paths
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """How long a server may take: without a byte, and for the whole file [s]."""
+
+    timeout: float
+    deadline: float
+
+
 def _bring(
-    file: RemoteFile, folder: Path, *, urls: tuple[str, ...], timeout: float, watch: Callable[[int], None]
+    file: RemoteFile, folder: Path, *, urls: tuple[str, ...], limits: _Limits, watch: Callable[[int], None]
 ) -> str:
     """Have the file in the folder; says how it got there."""
     path = folder / file.name
-    there = path.exists()
-    if there and _sha256(path) == file.sha256:
+    there = os.path.lexists(path)
+    if there and _is_good(path, file):
         return f"{file.name}: already in {folder} and good, not downloaded again"
+    check_writable(path)
     folder.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(folder).free
     if free < file.size:
-        raise OSError(errno.ENOSPC, f"expected room for {file.size} bytes, got {free}")
+        why = f"expected room for {file.size} bytes, got {free}"
+        raise NotWrittenError(path, why, "make room") from OSError(errno.ENOSPC, why)
     said = []
     for url in urls:
         try:
-            _download(file, folder, url=url, timeout=timeout, watch=watch)
+            content = _download(file, url=url, limits=limits, watch=watch)
         except _RefusedError as error:
             said.append(f"{url}: {error}")
         else:
+            with replace_whole(path) as temporary:
+                temporary.write_bytes(content)
             return f"{file.name}: {'replaced a wrong one' if there else 'downloaded'}, now in {folder}"
     if there:
         said.append(f"what is in {folder} under this name is not the pinned file")
@@ -247,34 +272,55 @@ def _bring(
     )
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def _is_good(path: Path, file: RemoteFile) -> bool:
+    """Whether it is the pinned file; what cannot be read is not, nor is a pipe or a device."""
+    try:
+        with open_regular(path) as stream:
+            if os.fstat(stream.fileno()).st_size != file.size:
+                return False
+            return hashlib.file_digest(stream, "sha256").hexdigest() == file.sha256
+    except OSError:
+        return False
 
 
-def _download(
-    file: RemoteFile, folder: Path, *, url: str, timeout: float, watch: Callable[[int], None]
-) -> None:
-    """Fetch from one server, check, and rename into place."""
+def _download(file: RemoteFile, *, url: str, limits: _Limits, watch: Callable[[int], None]) -> bytearray:
+    """Fetch from one server and check; _RefusedError says what it did wrong.
+
+    A thread of its own does it, which is left to itself at the deadline: a server that gives a byte now and
+    then would keep the HTTP client for ever, and so may the resolution of a name.
+    """
+    received = _Bounded(file.size, watch)
+    failed: list[Exception] = []
+
+    def request() -> None:
+        try:
+            _request(url, received, timeout=limits.timeout)
+        except Exception as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=request, daemon=True)
+    thread.start()
+    try:
+        thread.join(limits.deadline)
+    finally:
+        received.wanted = False
+    if thread.is_alive():
+        got = len(received.content)
+        raise _RefusedError(f"expected {file.size} bytes in {limits.deadline:g} s, got {got}")
+    if failed:
+        error = failed[0]
+        if not isinstance(error, OSError | ValueError):
+            raise error
+        raise _RefusedError(_reason(error, file=file, timeout=limits.timeout)) from error
+    _check(file, received.content)
+    return received.content
+
+
+def _request(url: str, received: _Bounded, *, timeout: float) -> None:
     # It imports an HTTP client, which only a download needs.
     import pooch  # noqa: PLC0415
 
-    # pooch tells each download on standard error, which is for failures here.
-    pooch.get_logger().setLevel(logging.WARNING)
-
-    def download(url: str, target: str, _: object) -> None:
-        received = _Bounded(file.size, watch)
-        # Into memory first: what goes wrong here is the server's fault, what goes wrong below is the disk's.
-        try:
-            pooch.HTTPDownloader(timeout=timeout, chunk_size=_CHUNK)(url, received, None)
-        except (OSError, ValueError) as error:
-            raise _RefusedError(_reason(error, file=file, timeout=timeout)) from error
-        _check(file, received.content)
-        Path(target).write_bytes(received.content)
-        # The temporary file is for its owner alone, a shared cache is not.
-        Path(target).chmod(0o644)
-
-    pooch.retrieve(url, known_hash=f"sha256:{file.sha256}", fname=file.name, path=folder, downloader=download)
+    pooch.HTTPDownloader(timeout=timeout, chunk_size=_CHUNK)(url, received, None)
 
 
 def _check(file: RemoteFile, content: bytearray) -> None:
@@ -310,12 +356,12 @@ def _cause(error: BaseException) -> BaseException | None:
     return next((item for item in candidates if isinstance(item, BaseException)), None)
 
 
-def _not_written(file: RemoteFile, folder: Path, error: OSError) -> str:
-    # pooch puts a paragraph of its own around a missing permission.
-    error = error.__cause__ if isinstance(error.__cause__, OSError) else error
-    what = "no room" if error.errno in _NO_ROOM else "cannot be written"
+def _not_written(file: RemoteFile, folder: Path, error: NotWrittenError) -> str:
+    cause = error.__cause__
+    no_room = isinstance(cause, OSError) and cause.errno in _NO_ROOM
+    what = "no room" if no_room else "cannot be written"
     return (
-        f"{file.name}: {what} in {folder}: {error.strerror or error}; "
-        f"{'make room' if error.errno in _NO_ROOM else 'make it a folder that you may write to'}, "
+        f"{file.name}: {what} in {folder}: {error.why}; "
+        f"{'make room' if no_room else 'make it a folder that you may write to'}, "
         "or name another with --folder or $VISLAM_CACHE"
     )
