@@ -139,6 +139,16 @@ def test_frames_without_a_claim_are_left_out(rng):
         assert one.statistic().samples == FRAMES - 5
 
 
+def test_a_covariance_that_is_positive_definite_in_some_axes_only_is_left_out(rng):
+    """With rounding, one of variances 1e29 and 1e-4 is so in the body's axes, and not in those that stay."""
+    truth, run = drive(rng)
+    cov = run.pose_cov.copy()
+    cov[40] = np.diag([1e-4, 1e-4, 1e29, 1e-4, 1e29, 1e-4])
+    found = pose_errors(replace(run, pose_cov=cov), of_truth(truth))["pose"]
+    assert 40 not in found.index
+    assert np.isfinite(found.nees).all()
+
+
 def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
     truth, run = drive(rng)
     assert pose_errors(run, of_truth(truth), causal=True) is None
@@ -221,6 +231,8 @@ def test_the_bias_is_compared_with_the_true_one(rng):
     assert found.statistic().p_value() > SUSPECT
     assert np.allclose(found.nees, bias_errors(run, np.tile(true, (FRAMES + 3, 1))).nees)
     assert bias_errors(run, -true).statistic().p_value() < SUSPECT
+    bias[7] = np.nan
+    assert 7 not in bias_errors(replace(run, bias=bias), true).index
 
 
 def test_the_nis_is_averaged_over_the_frames_that_fuse_something(rng):

@@ -116,6 +116,7 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
             (name, key): statistic
             for name, one in scores.items()
             for key, statistic in one.statistics.items()
+            if np.isfinite(statistic.value)
         },
         scores=scores,
         pairs=pairs,

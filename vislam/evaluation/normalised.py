@@ -97,19 +97,20 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
     estimate, cov = _at_point(run, own, reference.imu_T_point, causal=causal)
     target = reference.pose[other]
     error = se3.local(estimate, estimate[0] @ se3.inverse(target[0]) @ target)
-    known = usable(cov)
+    level = np.zeros((len(estimate), 6, 6))
+    level[:, :3, :3] = level[:, 3:, 3:] = estimate[:, :3, :3]
+    staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
+    # What is hardly positive definite may be so no longer in other axes.
+    known = usable(cov) & usable(staying_cov)
     # The first error is zero by construction.
     known[0] = False
     if not known.any():
         return None
-    error, cov, turn = error[known], cov[known], estimate[known, :3, :3]
+    error, cov, staying, staying_cov = (part[known] for part in (error, cov, staying, staying_cov))
     convention = (
         f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
         f"worlds joined at frame {frame[0]}; covariance as claimed {_time(causal)}, right perturbation"
     )
-    level = np.zeros((len(turn), 6, 6))
-    level[:, :3, :3] = level[:, 3:, 3:] = turn
-    staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
     return {
         part: Normalised(
             f"nees_{part}" + ("_causal" if causal else ""),
@@ -179,7 +180,8 @@ def bias_errors(run: Run, truth: Array) -> Normalised | None:
     truth : (6,) or (T, 6)
         True bias [rad/s, m/s], of at least the frames of the run.
     """
-    known = np.all(np.isfinite(run.bias_sigma) & (run.bias_sigma > _FLOOR), axis=1)
+    given = np.isfinite(run.bias) & np.isfinite(run.bias_sigma)
+    known = np.all(given & (run.bias_sigma > _FLOOR), axis=1)
     if not known.any():
         return None
     true = truth if truth.ndim == 1 else truth[: len(run.bias)]
