@@ -258,7 +258,9 @@ def test_a_config_with_anything_in_any_place_is_one_or_a_line(data):
     except ConfigError as error:
         assert_short(error)
     else:
-        assert config.parse(Config, parse_yaml(config.dump(found))) == found
+        # Not equal in themselves: an estimator's options, which it checks when it is built, may hold NaN.
+        text = config.dump(found)
+        assert config.dump(config.parse(Config, parse_yaml(text))) == text
 
 
 @given(st.text(), NASTY)
@@ -270,6 +272,9 @@ def test_a_config_with_anything_in_any_place_is_one_or_a_line(data):
 @example("checks.0.at_most", 1)
 @example("a." * 100_000 + "a", 1)
 @example("noise", 3)
+@example("seed", 10**5000)
+@example("estimators.ekf.gate", 10**5000)
+@example("name", "a\0b")
 def test_a_value_by_its_path_is_put_or_refused_with_a_line(dotted, value):
     tree = deepcopy(TREES["ci"])
     try:

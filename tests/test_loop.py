@@ -302,13 +302,21 @@ def test_the_process_is_left_as_it_was(short: Dataset, tmp_path, monkeypatch):
     assert tmp_path.cwd() == tmp_path
 
 
+@pytest.fixture
+def interrupts():
+    """Ctrl-C as Python itself handles it; a shell starts what is in the background without."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_ctrl_c_and_sigterm_hand_over_what_was_done(short: Dataset):
     with pytest.raises(loop.RunInterrupted) as caught:
         run(Broken(4, raising(Interrupted())), short)
     assert caught.value.run.error == "frame 4: interrupted"
     assert len(caught.value.run.stamp) == 4
     # In a notebook it is Python itself that raises.
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with pytest.raises(loop.RunInterrupted):
         run(Broken(4, raising(KeyboardInterrupt())), short)
 

@@ -18,7 +18,7 @@ from vislam.legible import one_line, quoted
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 from vislam.study.settings import StudyConfig
-from vislam.yaml_text import DEEPEST, parse_yaml
+from vislam.yaml_text import DEEPEST, parse_yaml, unwritable
 
 Parsed = TypeVar("Parsed")
 
@@ -282,6 +282,9 @@ def _read_one(path: Path) -> dict[str, Any]:
 
 def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
     """Turn plain data into a dataclass; a ConfigError names the dotted path, what is wrong and what came."""
+    if (wrong := unwritable(tree)) is not None:
+        where = one_line(".".join([*([at] if at else []), *wrong[0]]) or "config", limit=200)
+        raise ConfigError(f"{where}: {wrong[1]}")
     try:
         return TypeAdapter(kind).validate_python(tree)
     except ValidationError as error:

@@ -14,6 +14,7 @@ from vislam.data.sequence import Frame
 from vislam.errors import ContractError
 from vislam.estimator import Estimate, StepRecord
 from vislam.geometry import so3
+from vislam.legible import quoted
 from vislam.types import Array, BoolArray, IntArray
 
 _ROTATION_TOLERANCE = 1e-4
@@ -63,10 +64,10 @@ def checked_estimate(estimate: Any, frames: int) -> Estimate:
     track = _integers("track", estimate.track)
     landmarks = len(track)
     if landmarks and (track.min() < 0 or len(np.unique(track)) != landmarks):
-        raise ContractError(f"track must hold ids from 0 on, each once, got {_shown(track)}")
+        raise ContractError(f"track must hold ids from 0 on, each once, got {quoted(track)}")
     up = _optional("up", estimate.up, (3,))
     if up is not None and abs(float(np.linalg.norm(up)) - 1.0) > _ROTATION_TOLERANCE:
-        raise ContractError(f"up must be a unit vector, got {_shown(up)}")
+        raise ContractError(f"up must be a unit vector, got {quoted(up)}")
     return replace(
         estimate,
         world_T_imu=_poses("world_T_imu", estimate.world_T_imu, (frames, 4, 4)),
@@ -189,7 +190,7 @@ def _counts(value: Any) -> dict[str, int]:
 
 def _events(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(line, str) for line in value):
-        raise ContractError(f"events must be a tuple of lines of text, got {_shown(value)}")
+        raise ContractError(f"events must be a tuple of lines of text, got {quoted(value)}")
     return tuple(value)
 
 
@@ -197,7 +198,7 @@ def _fused(value: Any) -> tuple[IntArray, IntArray] | None:
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ContractError(f"fused must be a pair of frames and tracks, got {_shown(value)}")
+        raise ContractError(f"fused must be a pair of frames and tracks, got {quoted(value)}")
     frame, track = _integers("fused frames", value[0]), _integers("fused tracks", value[1])
     if len(frame) != len(track):
         raise ContractError(f"fused must be as many frames as tracks, got {len(frame)} and {len(track)}")
@@ -208,13 +209,8 @@ def _fit(value: Any) -> tuple[float, int] | None:
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ContractError(f"fit must be a sum of squares and its degrees of freedom, got {_shown(value)}")
+        raise ContractError(f"fit must be a sum of squares and its degrees of freedom, got {quoted(value)}")
     freedom = _scalar("fit: degrees of freedom", value[1])
     if freedom != int(freedom):
         raise ContractError(f"fit: degrees of freedom must be a whole number, got {freedom:g}")
     return _level("fit: sum of squares", value[0]), int(freedom)
-
-
-def _shown(value: Any) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else f"{text[:80]}..."

@@ -37,6 +37,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
+    import numpy as np  # noqa: PLC0415
+
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.external import with_trajectories  # noqa: PLC0415
     from vislam.files import check_writable  # noqa: PLC0415
@@ -44,7 +46,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     refuse_bad_check_options(options)
-    results = with_trajectories(Results.load(options.results), options.trajectory)
+    results = Results.load(options.results)
+    for name, run in results.runs.items():
+        results.record.refuse_other(run, path=options.results / "runs" / f"{name}.npz")
+    results = with_trajectories(results, options.trajectory)
     checklist = read_checklist(
         results.config, against=options.against, tolerance=options.tolerance, schema_version=SCHEMA_VERSION
     )
@@ -52,7 +57,9 @@ def _evaluate(options: argparse.Namespace) -> int:
     folder = options.out or options.results
     for file in PLACES:
         check_writable(folder / file)
-    published = publish(results, folder, checklist, report=not options.no_report)
+    # Saved numbers may be such that a metric of them overflows, or is none: it is then left out.
+    with np.errstate(all="ignore"):
+        published = publish(results, folder, checklist, report=not options.no_report)
     announce(results, published, Terminal())
     return conclude(results, published, junit=options.junit, rerun=options.rerun)
 

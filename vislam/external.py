@@ -1,5 +1,6 @@
 """Trajectories from elsewhere, such as another SLAM system's output, as runs beside our own."""
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -46,7 +47,8 @@ def load_trajectory(name: str, config: ReferenceConfig, record: Record) -> Run:
     Its rows are matched with the frames as those of a reference are; what belongs to none is counted.
     """
     path = Path(config.file)
-    if not path.is_file():
+    # Unlike Path.is_file, this is no error for a name too long to be one.
+    if not os.path.isfile(path):
         raise DataError(f"{path}: not found; --trajectory takes the path of a file")
     read = load_reference(path, config, imu_T_cam=record.rig.imu_T_cam, stamp=record.stamp)
     assert read.pose is not None

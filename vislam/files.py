@@ -12,7 +12,6 @@ import os
 import re
 import secrets
 import stat
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedReader
@@ -24,7 +23,8 @@ import numpy as np
 from vislam.errors import NotWrittenError, first_line
 from vislam.types import Array
 
-_PLAIN = "plain"
+PLAIN = "plain"
+"""Member of an archive that holds its plain data as JSON."""
 _TEMPORARY = re.compile(r"\.vislam-[0-9a-f]{16}\.tmp")
 _PROBE = b"\0" * 4096
 """What must fit at least."""
@@ -116,17 +116,7 @@ def save_archive(path: Path, plain: Mapping[str, Any], arrays: Mapping[str, Arra
     """Write plain data and arrays as one npz file, whole or not at all."""
     with replace_whole(path) as temporary, temporary.open("wb") as file:
         text = np.array(json.dumps(plain))
-        np.savez_compressed(file, allow_pickle=False, **{**arrays, _PLAIN: text})
-
-
-def load_archive(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Read what :func:`save_archive` wrote; OSError or ValueError if it is something else."""
-    try:
-        with open_regular(path) as file, np.load(file) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        return json.loads(str(arrays.pop(_PLAIN))), arrays
-    except (zipfile.BadZipFile, EOFError, KeyError, AttributeError) as error:
-        raise ValueError(f"not a whole archive ({error})") from None
+        np.savez_compressed(file, allow_pickle=False, **{**arrays, PLAIN: text})
 
 
 @contextmanager

@@ -5,8 +5,8 @@ import reprlib
 
 LONGEST_LINE = 1000
 """Characters of a message; it may hold a key, a value or a path of any length."""
-_LONGEST_LABEL = 120
-"""Characters of a label in a figure."""
+_BRIEF = 120
+"""Characters of a label in a figure, or of a text within a message."""
 _MARK = " [...] "
 _BREAK = re.compile(r"\s*[\t\n\v\f\r\x85\u2028\u2029]\s*")
 _REPR = reprlib.Repr()
@@ -35,6 +35,11 @@ def one_line(text: str, *, limit: int = LONGEST_LINE) -> str:
     return _cut(joined, limit)
 
 
+def brief(text: str) -> str:
+    """Text as a line that has room in another."""
+    return one_line(text, limit=_BRIEF)
+
+
 def quoted(value: object) -> str:
     """A value as it is written in Python, cut to a bounded length."""
     try:
@@ -50,7 +55,7 @@ def literal(text: str) -> str:
     Matplotlib takes what stands between dollar signs for mathematics, and what begins with an underscore for
     a label that a legend does not show.
     """
-    shown = one_line(text, limit=_LONGEST_LABEL).replace("$", r"\$")
+    shown = one_line(text, limit=_BRIEF).replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown
 
 

@@ -1,19 +1,87 @@
 """What evaluation and report know of a drive beside its runs, saved with them: nobody needs the recording."""
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
+from vislam.archive import read_archive
 from vislam.data.reference import Reference
 from vislam.data.sequence import Repair, Sequence
-from vislam.errors import DataError, first_line
-from vislam.files import load_archive, save_archive
+from vislam.errors import DataError
+from vislam.files import save_archive
 from vislam.frozen import FrozenList
+from vislam.legible import brief
+from vislam.run import Run
+from vislam.schema import (
+    IDS,
+    INCREASING,
+    NOT_NEGATIVE,
+    POSITIVE,
+    RIGID,
+    SORTED,
+    UNIQUE,
+    Coordinate,
+    Extent,
+    Level,
+    Plain,
+    Section,
+    Table,
+    mask,
+    real,
+    whole,
+)
 from vislam.sensors import StereoRig
 from vislam.types import Array, IntArray
+
+_WHAT = "the saved record of a drive"
+_TABLE: Table = {
+    "name": Plain(str),
+    "stand_in": Plain(bool),
+    "digest": Plain(str),
+    "notes": Plain(tuple[str, ...]),
+    "counts": Plain(dict[str, int]),
+    "repairs": Plain(tuple[Repair, ...]),
+    "stamp": real("T", INCREASING),
+    "rig": Section(),
+    "rig.fx": Plain(Extent),
+    "rig.fy": Plain(Extent),
+    "rig.cx": Plain(Coordinate),
+    "rig.cy": Plain(Coordinate),
+    "rig.baseline": Plain(Extent),
+    "rig.imu_T_cam": real("4 4", RIGID),
+    "given": Section(),
+    "given.frame": whole("n", SORTED, NOT_NEGATIVE, below="T"),
+    "given.track": whole("n", IDS),
+    "given.z": real("n 3"),
+    "given.sigma": real("n 3", POSITIVE),
+    "held_out": Section(),
+    "held_out.frame": whole("h", SORTED, NOT_NEGATIVE, below="T"),
+    "held_out.track": whole("h", IDS),
+    "held_out.z": real("h 3"),
+    "held_out.sigma": real("h 3", POSITIVE),
+    "reference": Section(optional=True),
+    "reference.name": Plain(str),
+    "reference.limits": Plain(str),
+    "reference.frame": whole("m", INCREASING, NOT_NEGATIVE, below="T"),
+    "reference.position": real("m 2|m 3"),
+    "reference.pose": real("m 4 4", RIGID, optional=True),
+    "reference.imu_T_point": real("4 4", RIGID),
+    "reference.track": whole("j", UNIQUE, IDS),
+    "reference.points_world": real("j 3"),
+    "reference.sigma": Plain(Level),
+    "reference.bias": real("6|T 6", optional=True),
+    "frozen": Section(optional=True),
+    "frozen.by": Plain(Annotated[tuple[str, ...], Field(min_length=1)]),
+    "frozen.exempt": Plain(tuple[str, ...]),
+    "frozen.kept": mask("n"),
+    "frozen.digest": Plain(str),
+    "provenance": Plain(dict[str, str]),
+    "step_twist": real("T 6", gaps=True, optional=True, later=True),
+}
+"""The fields of a saved record: type, shape and range of each, a letter for each size."""
 
 
 @dataclass(frozen=True)
@@ -95,31 +163,45 @@ class Record:
 
     @classmethod
     def load(cls, path: Path) -> "Record":
-        """Read a saved record; DataError if it is none."""
-        try:
-            plain, arrays = load_archive(path)
-            tree = _put_together(plain, arrays, at="")
-            return cls(
-                **{
-                    **tree,
-                    "notes": tuple(tree["notes"]),
-                    "repairs": tuple(Repair(**step) for step in tree["repairs"]),
-                    "rig": StereoRig(**tree["rig"]),
-                    "given": Tracks(**tree["given"]),
-                    "held_out": Tracks(**tree["held_out"]),
-                    "reference": None if tree["reference"] is None else Reference(**tree["reference"]),
-                    "frozen": None if tree["frozen"] is None else _frozen(tree["frozen"]),
-                }
-            )
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        """Read a saved record; a DataError says what is wrong with it."""
+        tree = read_archive(path, _TABLE, what=_WHAT)
+        kinds = {"rig": StereoRig, "reference": Reference, "frozen": FrozenList}
+        kinds |= {"given": Tracks, "held_out": Tracks}
+        for name, kind in kinds.items():
+            tree[name] = None if tree[name] is None else kind(**tree[name])
+        found = cls(**tree)
+        if found.reference is not None and not _is_whole(found.reference):
             raise DataError(
-                f"{path}: expected the saved record of a drive, got {first_line(error)}; "
+                f"{path}: expected {_WHAT}, got a 'reference' whose positions are not those of its poses; "
                 "run the comparison again"
-            ) from None
+            )
+        return found
+
+    def refuse_other(self, run: Run, *, path: Path) -> None:
+        """Raise DataError if a saved run is not what its file is named for, or of another drive."""
+        if got := self._unlike(run, name=path.stem):
+            raise DataError(
+                f"{path}: expected a run of the drive in the record beside it, got {got}; "
+                "run the comparison again"
+            )
+
+    def _unlike(self, run: Run, *, name: str) -> str:
+        """What shows that a run is of another drive, or another run; empty if nothing does."""
+        frames, given = len(self.stamp), len(self.given.track)
+        if run.name != name:
+            return f"the run '{brief(run.name)}'"
+        if run.frames_expected != frames or run.frame.max(initial=-1) >= frames:
+            return f"frames up to {run.frame.max(initial=-1)} of {run.frames_expected} for {frames}"
+        if run.complete and len(run.frame) < frames:
+            return f"a complete run with {len(run.frame)} of {frames} frames"
+        if not np.array_equal(run.stamp, self.stamp[run.frame]):
+            return "other stamps"
+        return "" if len(run.used) == given else f"{len(run.used)} observations for {given}"
 
 
-def _frozen(tree: Mapping[str, Any]) -> FrozenList:
-    return FrozenList(**{**tree, "by": tuple(tree["by"]), "exempt": tuple(tree["exempt"])})
+def _is_whole(reference: Reference) -> bool:
+    """Whether the positions of a reference are those of its poses, if it has any."""
+    return reference.pose is None or np.array_equal(reference.position, reference.pose[:, :3, 3])
 
 
 def _take_apart(value: Any, arrays: dict[str, Array], *, at: str) -> Any:
@@ -133,13 +215,3 @@ def _take_apart(value: Any, arrays: dict[str, Array], *, at: str) -> Any:
         below = f"{at}." if at else ""
         return {key: _take_apart(item, arrays, at=f"{below}{key}") for key, item in value.items()}
     return value
-
-
-def _put_together(plain: Any, arrays: Mapping[str, Array], *, at: str) -> Any:
-    """Undo :func:`_take_apart`, but for the dataclasses, which stay dictionaries."""
-    if not isinstance(plain, dict):
-        return plain
-    if plain.keys() == {"array"} and plain["array"] == at:
-        return arrays[at]
-    below = f"{at}." if at else ""
-    return {key: _put_together(item, arrays, at=f"{below}{key}") for key, item in plain.items()}

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -92,7 +93,7 @@ class Results:
 
 def _load_run(folder: Path, name: str, record: Record) -> Run:
     path = folder / RUNS / f"{name}.npz"
-    if not path.exists():
+    if not os.path.lexists(path):
         reason = "not run; run the comparison again to go on with it"
         frames, observations = len(record.stamp), len(record.given.track)
         return Run.without_frames(name, reason, frames_expected=frames, observations=observations)

@@ -5,10 +5,59 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.errors import DataError, first_line
-from vislam.files import load_archive, save_archive
+from vislam.archive import read_archive
+from vislam.files import save_archive
 from vislam.geometry import se3, so3
+from vislam.schema import (
+    DIRECTION,
+    IDS,
+    INCREASING,
+    NOT_NEGATIVE,
+    RIGID,
+    UNIQUE,
+    Count,
+    Level,
+    Plain,
+    Table,
+    mask,
+    real,
+    whole,
+)
 from vislam.types import Array, BoolArray, IntArray
+
+_TABLE: Table = {
+    "name": Plain(str),
+    "error": Plain(str),
+    "frames_expected": Plain(Count),
+    "frame": whole("T", INCREASING, NOT_NEGATIVE),
+    "stamp": real("T", INCREASING),
+    "world_T_imu": real("T 4 4", RIGID),
+    "world_T_imu_causal": real("T 4 4", RIGID),
+    "pose_cov": real("T 6 6", gaps=True),
+    "pose_cov_causal": real("T 6 6", gaps=True),
+    "bias": real("T 6", gaps=True),
+    "bias_sigma": real("T 6", gaps=True),
+    "nis": real("T"),
+    "dof": whole("T"),
+    "log_likelihood": real("T", gaps=True),
+    "world_gained": real("T 6", gaps=True),
+    "step_time": real("T", NOT_NEGATIVE),
+    "total_time": Plain(Level),
+    "peak_rss": Plain(Count),
+    "used": mask("n"),
+    "gated": mask("n"),
+    "track": whole("m", UNIQUE, IDS),
+    "points_world": real("m 3"),
+    "points_cov": real("m 3 3", gaps=True, optional=True),
+    "counts": Plain(dict[str, int]),
+    "up": real("3", DIRECTION),
+    "events": Plain(tuple[str, ...]),
+    "fit": Plain(tuple[Level, int] | None),
+    "traceback": Plain(str, later=True),
+    "blind": Plain(bool, later=True),
+    "identity": Plain(str, later=True),
+}
+"""The fields of a saved run: type, shape and range of each, a letter for each size."""
 
 
 @dataclass(frozen=True)
@@ -163,14 +212,5 @@ class Run:
 
     @classmethod
     def load(cls, path: Path) -> "Run":
-        """Read a saved run; DataError if it is none."""
-        try:
-            plain, arrays = load_archive(path)
-            # JSON has no tuples.
-            fit = None if plain["fit"] is None else tuple(plain["fit"])
-            return cls(**{**plain, **arrays, "events": tuple(plain["events"]), "fit": fit})
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise DataError(
-                f"{path}: expected a run as this version of vislam saves it, got {first_line(error)}; "
-                "run the comparison again"
-            ) from None
+        """Read a saved run; a DataError says what is wrong with it."""
+        return cls(**read_archive(path, _TABLE, what="a run as this version of vislam saves it"))

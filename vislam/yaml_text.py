@@ -49,6 +49,22 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(one_line(str(error).partition("\n")[0], limit=300)) from None
 
 
+def unwritable(value: Any, *, levels: int = DEEPEST) -> tuple[tuple[str, ...], str] | None:
+    """Where plain data is what no YAML that is read here can say, and what is wrong there; None: nowhere."""
+    if isinstance(value, dict | list | tuple):
+        if not levels:
+            return (), f"expected at most {DEEPEST} levels, got more"
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            wrong = unwritable(key, levels=1) or unwritable(item, levels=levels - 1)
+            if wrong is not None:
+                return (quoted(key) if not isinstance(key, str) else one_line(key), *wrong[0]), wrong[1]
+    if isinstance(value, int) and abs(value) >= _FIRST_TOO_LARGE:
+        return (), f"expected a whole number below 2^63, got one of {value.bit_length()} bits"
+    if isinstance(value, str) and _NOT_IN_FILES.search(value):
+        return (), "expected letters that a file can hold, got NUL or half of a letter"
+    return None
+
+
 def _refuse(problem: str, node: yaml.Node | yaml.Event) -> NoReturn:
     raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)  # type: ignore[arg-type]
 

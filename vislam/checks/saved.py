@@ -1,27 +1,32 @@
 """Results of an earlier run, as its ``metrics.json`` has them, to compare new ones with."""
 
 import json
+import os
 from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import StrictBool, StrictFloat
+from pydantic import Field, StrictBool, StrictFloat
 from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
 from vislam.checks.settings import SAVED, Check
 from vislam.errors import ConfigError, DataError, first_line
 from vislam.files import open_regular
+from vislam.legible import brief
 
+_MOST_BYTES = 1 << 26
+"""Largest ``metrics.json``; that of ten estimators has less than a hundredth."""
+_Word = Annotated[str, Field(strict=True, pattern="^[ -~]{1,200}$")]
 _SMALLER_IS_BETTER = ("ate_", "rpe_", "kitti_", "drift_", "map_error_", "held_out_")
 """How keys of metrics of accuracy start."""
 
 
 @dataclass(frozen=True)
 class _Metric:
-    estimator: str
-    key: str
-    value: StrictFloat
+    estimator: _Word
+    key: _Word
+    value: Annotated[StrictFloat, Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)
@@ -71,36 +76,40 @@ class Saved:
     @classmethod
     def read(cls, path: Path, *, schema_version: int) -> "Saved":
         """Read a ``metrics.json``, or that of a folder of results; a DataError says what is wrong with it."""
-        path = path / "metrics.json" if path.is_dir() else path
+        path = path / "metrics.json" if os.path.isdir(path) else path
         tree = _tree(path)
         if tree.get("schema_version") != schema_version:
             raise DataError(
-                f"{path}: schema_version must be {schema_version}, got {tree.get('schema_version')!r}; "
+                f"{path}: schema_version must be {schema_version}, "
+                f"got {brief(repr(tree.get('schema_version')))}; "
                 "write it anew with this version"
             )
         try:
             found = configuration.parse(_Document, tree)
         except ConfigError as error:
-            raise DataError(f"{path}: {error}") from None
+            raise DataError(f"{path}: {brief(str(error))}") from None
+        values = {(metric.estimator, metric.key): metric.value for metric in found.metrics}
+        if len(values) < len(found.metrics):
+            raise DataError(f"{path}: must hold each metric of a run once; write it anew with this version")
         return cls(
             path=path,
             data=found.dataset.name,
             digest=found.dataset.digest,
             reference=found.dataset.reference,
             complete={name: run.complete for name, run in found.runs.items()},
-            values={(metric.estimator, metric.key): metric.value for metric in found.metrics},
+            values=values,
         )
 
     def refuse_other(self, *, digest: str, reference: str | None) -> None:
         """Raise DataError if results on other data, or against another reference, are to be compared."""
         if self.digest != digest:
             raise DataError(
-                f"{self.path}: of other data ({self.data}, digest {self.digest[:10]}, here {digest[:10]}), "
-                "so its errors are no measure; save results of this data"
+                f"{self.path}: of other data ({brief(self.data)}, digest {brief(self.digest[:10])}, here "
+                f"{digest[:10]}), so its errors are no measure; save results of this data"
             )
         if self.reference != reference:
             raise DataError(
-                f"{self.path}: scored against {self.reference or 'no reference'}, here it is "
+                f"{self.path}: scored against {brief(self.reference or 'no reference')}, here it is "
                 f"{reference or 'none'}; save results with the same reference"
             )
 
@@ -127,7 +136,10 @@ class Saved:
 def _tree(path: Path) -> dict[str, Any]:
     try:
         with open_regular(path) as file:
-            tree = json.loads(file.read())
+            text = file.read(_MOST_BYTES + 1)
+        if len(text) > _MOST_BYTES:
+            raise DataError(f"{path}: must have at most {_MOST_BYTES} bytes; name another")
+        tree = json.loads(text)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({first_line(error)})") from None
     except (ValueError, RecursionError) as error:

@@ -14,8 +14,9 @@ import numpy as np
 
 from vislam.data.npy import ArrayError, PackedArray, open_array
 from vislam.data.sequence import Sequence
-from vislam.errors import DataError
+from vislam.errors import DataError, first_line
 from vislam.geometry import se3, so3
+from vislam.legible import brief
 from vislam.sensors import StereoRig
 from vislam.types import Array, IntArray
 
@@ -31,8 +32,6 @@ _LARGEST_TWIST = 200.0
 """Of velocities [rad/s, m/s]; no camera that is carried is faster."""
 _SHORTEST_STEP = 1e-6
 """Frames closer in time than this are none [s]."""
-_SHOWN = 200
-"""So much of what a broken file says goes into a message."""
 _SHORTEST_BASELINE = 1e-4
 # RuntimeError and ValueError: an unknown method, an encrypted member, an offset that is none.
 _BROKEN = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError, ValueError)
@@ -61,7 +60,7 @@ def load_course_npz(path: Path) -> Sequence:
         raise
     except _BROKEN as error:
         raise DataError(
-            f"{path}: not a whole npz archive ({_shown(error)}); fetch or copy the file again"
+            f"{path}: not a whole npz archive ({brief(first_line(error))}); fetch or copy the file again"
         ) from None
 
 
@@ -119,7 +118,9 @@ class _Reader:
             if key in self._keys:
                 return key
         wanted = " or ".join(f"'{key}'" for key in keys)
-        raise DataError(f"{self._path}: key {wanted} is missing; the file has {_shown(sorted(self._keys))}")
+        raise DataError(
+            f"{self._path}: key {wanted} is missing; the file has {brief(', '.join(sorted(self._keys)))}"
+        )
 
     def _open(self, key: str) -> PackedArray:
         try:
@@ -243,12 +244,6 @@ def _by_frame(position: IntArray, columns: int, frames: int, *, fortran: bool) -
     component, rest = np.divmod(position, max(columns * frames, 1))
     track, frame = np.divmod(rest, frames)
     return (frame * columns + track) * 4 + component
-
-
-def _shown(what: object) -> str:
-    """Text of something from a file, in one line that is not too long."""
-    text = " ".join(str(what).split())
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _sha256(path: Path) -> str:

@@ -22,7 +22,8 @@ _DESCR = re.compile(r"""['"]descr['"]\s*:\s*['"]([^'"]*)['"]""")
 _ORDER = re.compile(r"""['"]fortran_order['"]\s*:\s*(True|False)""")
 _SHAPE = re.compile(r"""['"]shape['"]\s*:\s*\(([^()]*)\)""")
 _EXTENT = re.compile(r"\s*(\d{1,18})L?\s*", re.ASCII)
-_REAL = re.compile(r"[<>|=](f[248]|[iu][1248])")
+REAL = re.compile(r"[<>|=](f[248]|[iu][1248])")
+"""Type of real numbers, as a header states it."""
 
 
 class ArrayError(Exception):
@@ -43,7 +44,6 @@ class PackedArray:
     fortran : bool
         Whether the first index runs fastest.
     dtype : numpy.dtype
-        Of real numbers.
     """
 
     stream: IO[bytes]
@@ -70,16 +70,18 @@ class PackedArray:
         self.stream.read(1)
 
 
-def open_array(archive: zipfile.ZipFile, name: str) -> PackedArray:
-    """Open a member of an archive; ArrayError if it is no array of real numbers of a size that can be."""
+def open_array(
+    archive: zipfile.ZipFile, name: str, *, stored: re.Pattern[str] = REAL, what: str = "real numbers"
+) -> PackedArray:
+    """Open a member of an archive; ArrayError if it is no array of such a type and of a size that can be."""
     information = archive.getinfo(name)
     # Other methods unpack a small piece to any size at once; numpy writes none of them.
     if information.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ArrayError("stored or deflated, as numpy does it", f"method {information.compress_type}")
     stream = archive.open(name)
     descr, fortran, shape = _read_header(stream)
-    if not _REAL.fullmatch(descr):
-        raise ArrayError("a plain array of real numbers (pickled objects are refused)", repr(descr[:40]))
+    if not stored.fullmatch(descr):
+        raise ArrayError(f"a plain array of {what} (pickled objects are refused)", repr(descr[:40]))
     array = PackedArray(stream, shape, fortran, np.dtype(descr))
     expected, got = array.size * array.dtype.itemsize, information.file_size - stream.tell()
     if expected != got:

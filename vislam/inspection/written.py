@@ -9,6 +9,7 @@ from vislam import config as configuration
 from vislam.config import Config
 from vislam.data.find import find_path
 from vislam.inspection.finding import Inspection
+from vislam.legible import one_line
 
 _FILES = (
     ("data", "file"),
@@ -118,5 +119,4 @@ def _paths(lines: list[str]) -> list[str]:
 
 def _comment(text: str) -> str:
     """One line of comment, whatever is in the text."""
-    line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
-    return f"# {line if len(line) <= _LONGEST else line[:_LONGEST] + ' ...'}"
+    return f"# {one_line(text, limit=_LONGEST)}"

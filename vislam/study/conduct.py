@@ -22,7 +22,7 @@ from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
 from vislam.study.connection import WorkersGone
 from vislam.study.folder import StudyFolder, told
 from vislam.study.plan import Plan
-from vislam.study.summary import HEADER, clean, reasons_of, rows_of
+from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
 from vislam.study.trials import Trials
 from vislam.terminal import Terminal
@@ -80,7 +80,9 @@ def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Te
                         seen.add(trial.id)
                         if result["status"] == LOST and not lost:
                             lost = True
-                            terminal.note(f"lost, the first: seed {trial.seed}: {clean(result['reason'])}")
+                            terminal.note(
+                                f"lost, the first: seed {trial.seed}: {reason_line(result['reason'])}"
+                            )
                         bar.update(0, completed=len(seen))  # type: ignore[arg-type]
             return
         except WorkersGone as gone:
@@ -140,7 +142,7 @@ def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     if len(trials) and not trials.any_complete:
         first = next(filter(None, trials.reason))
         raise DivergedError(
-            f"no estimator has finished in any of {len(trials)} trials; the first: {clean(first)}"
+            f"no estimator has finished in any of {len(trials)} trials; the first: {reason_line(first)}"
         )
     return lost
 

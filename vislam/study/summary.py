@@ -5,6 +5,7 @@ import re
 from collections import Counter
 
 from vislam import config as configuration
+from vislam.legible import one_line
 from vislam.study import answers
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials
@@ -12,8 +13,7 @@ from vislam.study.trials import Trials
 HEADER = ("point", "estimator", "trials", "failed", "ATE [m]", "95 % interval", "NEES pose", "95 % interval")
 _ERROR = "ate_rmse"
 _MOST_REASONS = 5
-_LONGEST = 300
-"""Characters of a reason that are shown."""
+_LONGEST_REASON = 300
 
 
 def rows_of(trials: Trials) -> list[tuple[str, ...]]:
@@ -43,17 +43,17 @@ def reasons_of(trials: Trials) -> list[str]:
     shown = dict(zip(reversed(kinds), reversed(failed), strict=True))
     counts = Counter(kinds).most_common()
     told = [
-        f"{count} of {len(trials)} trials: {clean(shown[kind])}" for kind, count in counts[:_MOST_REASONS]
+        f"{count} of {len(trials)} trials: {reason_line(shown[kind])}"
+        for kind, count in counts[:_MOST_REASONS]
     ]
     if rest := counts[_MOST_REASONS:]:
         told.append(f"{sum(count for _, count in rest)} of {len(trials)} trials: {len(rest)} other reasons")
     return told
 
 
-def clean(reason: str) -> str:
-    """A reason as one line of bounded length that leaves the terminal as it is."""
-    line = " ".join("".join(letter if letter.isprintable() else " " for letter in reason).split())
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+def reason_line(reason: str) -> str:
+    """Why a trial has failed, in one line."""
+    return one_line(reason, limit=_LONGEST_REASON)
 
 
 def _cells(found: Estimate | None) -> tuple[str, str]:

@@ -1,0 +1,293 @@
+"""The reader of saved archives: what it returns is as a table has it, field by field.
+
+Every header is checked before memory is taken, so that a small file cannot claim a large array; nothing is
+unpickled.
+"""
+
+import json
+import math
+import re
+import zipfile
+import zlib
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from vislam.data.npy import ArrayError, PackedArray, open_array
+from vislam.errors import DataError, first_line
+from vislam.files import PLAIN
+from vislam.legible import brief
+from vislam.schema import Item, Numbers, Plain, Section, Table
+from vislam.types import BoolArray
+
+Tree = dict[str, Any]
+
+_LARGEST = {"real": 1e30, "whole": 10**12, "mask": 1}
+"""Largest numbers: products of larger real ones overflow, sums of larger whole ones are not exact."""
+_MOST_BYTES = 1 << 30
+"""All arrays of an archive, unpacked; ten thousand frames with a million observations have a tenth."""
+_MOST_ROWS = 10**7
+"""Frames, observations or landmarks, at most."""
+_LARGEST_INTEGER = 2**53
+"""Largest whole number of the plain data: it is still a float as well."""
+_MOST_TEXT = 1 << 24
+"""Bytes of an archive's plain data."""
+_DEEPEST = 10
+"""How deeply it may be nested."""
+_STORED = re.compile(r"[<>|=](f[248]|[iu][1248]|b1|U\d{1,9})")
+_CODES = {"real": "fiu", "whole": "iu", "mask": "b"}
+_TYPES = {"real": np.float64, "whole": np.int64, "mask": np.bool_}
+_WORDS = {"real": "real numbers", "whole": "whole numbers", "mask": "booleans"}
+_BROKEN = (EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged archive raises, as a member that is encrypted or that ends early."""
+_MISSING, _BELOW_NULL = object(), object()
+
+
+class _Wrong(Exception):
+    """What came in place of what was expected, in words."""
+
+
+def read_archive(path: Path, table: Table, *, what: str) -> Tree:
+    """Fields of an archive that :func:`vislam.files.save_archive` wrote, checked against a table.
+
+    Parameters
+    ----------
+    path : Path
+    table : Table
+    what : str
+        What the archive should be, for the error.
+
+    Returns
+    -------
+    dict
+        Values by their names; those of a section, or None, below its name. What an older version did not
+        write is left out.
+
+    Raises
+    ------
+    DataError
+        If it is none, or a field is missing, unknown, or not as the table has it.
+    """
+    try:
+        if not path.exists():
+            raise _Wrong("no such file")
+        if not path.is_file():
+            raise _Wrong("no regular file")
+        with zipfile.ZipFile(path) as archive:
+            return _Reader(archive, table).tree()
+    except _Wrong as wrong:
+        text = str(wrong)
+    except OSError as error:
+        text = f"none that can be read ({brief(first_line(error))})"
+    except _BROKEN as error:
+        text = f"no whole archive ({brief(first_line(error))})"
+    raise DataError(f"{path}: expected {what}, got {text}; run the comparison again") from None
+
+
+class _Reader:
+    def __init__(self, archive: zipfile.ZipFile, table: Table) -> None:
+        self._archive, self._table = archive, table
+        self._names = [name.removesuffix(".npy") for name in archive.namelist()]
+        # Size of each letter, and the field that has set it.
+        self._sizes: dict[str, tuple[int, str]] = {}
+
+    def tree(self) -> Tree:
+        plain = self._plain()
+        self._refuse_unknown(plain)
+        values, packed = Tree(), dict[str, PackedArray]()
+        for name, item in self._table.items():
+            found = _look_up(plain, name)
+            if found is _BELOW_NULL:
+                continue
+            if isinstance(item, Numbers) and name in self._names and found in (_MISSING, {"array": name}):
+                packed[name] = self._header(name, item)
+            elif found is not _MISSING:
+                values[name] = _value(name, item, found)
+            elif not item.later:
+                raise _Wrong(f"no '{name}'")
+        if (total := sum(array.size * array.dtype.itemsize for array in packed.values())) > _MOST_BYTES:
+            raise _Wrong(f"{total:.2g} bytes of arrays, of which {_MOST_BYTES:.2g} are the most")
+        for name, array in packed.items():
+            values[name] = self._array(name, array)
+        return _nested(self._table, values)
+
+    def _plain(self) -> Tree:
+        if len(set(self._names)) < len(self._names):
+            raise _Wrong("an archive with two members of one name")
+        packed = self._open(PLAIN)
+        if packed.dtype.kind != "U" or packed.shape or packed.dtype.itemsize > _MOST_TEXT:
+            raise _Wrong(f"plain data of type {packed.dtype} and shape {packed.shape}")
+        with packed.stream:
+            text = str(np.concatenate(list(packed.chunks()))[0])
+        try:
+            tree = json.loads(
+                text, object_pairs_hook=_once, parse_constant=_number, parse_float=_number, parse_int=_whole
+            )
+        except RecursionError:
+            raise _Wrong("plain data that is nested too deeply") from None
+        if not isinstance(tree, dict):
+            raise _Wrong(f"plain data that is {_kind_of(tree)}")
+        if _deeper(tree, _DEEPEST):
+            raise _Wrong("plain data that is nested too deeply")
+        return tree
+
+    def _refuse_unknown(self, plain: Tree) -> None:
+        sections = [name for name, item in self._table.items() if isinstance(item, Section)]
+        below = [f"{name}.{key}" for name in sections for key in _children(plain.get(name), keys=True)]
+        for name in [*plain, *below, *self._names]:
+            if name not in self._table and name != PLAIN:
+                raise _Wrong(f"an unknown field '{brief(name)}'")
+
+    def _open(self, name: str) -> PackedArray:
+        try:
+            return open_array(self._archive, f"{name}.npy", stored=_STORED, what="numbers")
+        except KeyError:
+            raise _Wrong(f"no '{name}'") from None
+        except ArrayError as error:
+            raise _Wrong(f"'{name}', which {brief(str(error))}") from None
+
+    def _header(self, name: str, item: Numbers) -> PackedArray:
+        """Open an array whose type and shape are right."""
+        packed = self._open(name)
+        if packed.dtype.kind not in _CODES[item.kind]:
+            raise _Wrong(f"'{name}', which must be {_WORDS[item.kind]}, as {packed.dtype}")
+        if max(packed.shape, default=0) > _MOST_ROWS:
+            raise _Wrong(f"'{name}' of shape {packed.shape}, which may have {_MOST_ROWS:g} rows at most")
+        if not any(self._fits(packed.shape, shape.split(), name) for shape in item.shape.split("|")):
+            letters = dict.fromkeys(part for part in item.shape.split() if part in self._sizes)
+            sizes = [f"{part} = {self._sizes[part][0]} as in '{self._sizes[part][1]}'" for part in letters]
+            given = f" with {', '.join(sizes)}" if sizes else ""
+            raise _Wrong(f"'{name}', which must be of shape ({item.shape}){given}, of shape {packed.shape}")
+        return packed
+
+    def _fits(self, got: tuple[int, ...], wanted: list[str], name: str) -> bool:
+        """Whether a shape is as wanted; letters that are new are then bound to its sizes."""
+        bound = dict(self._sizes)
+        for size, part in zip(got, wanted, strict=False):
+            expected = int(part) if part.isdigit() else bound.setdefault(part, (size, name))[0]
+            if size != expected:
+                return False
+        if len(got) != len(wanted):
+            return False
+        self._sizes = bound
+        return True
+
+    def _array(self, name: str, packed: PackedArray) -> Any:
+        """Read an array; _Wrong if some of its values cannot be right."""
+        item = self._table[name]
+        assert isinstance(item, Numbers)
+        with packed.stream:
+            flat = np.concatenate([np.empty(0, packed.dtype), *packed.chunks()])
+        # A byte that is neither 0 nor 1 would be no boolean.
+        raw = flat.view(np.uint8) if item.kind == "mask" else flat
+        values: Any = raw.astype(_TYPES[item.kind], copy=False)
+        values = values.reshape(packed.shape, order="F" if packed.fortran else "C")
+        largest = _LARGEST[item.kind]
+        wrong = ~((values >= -largest) & (values <= largest))
+        wrong = wrong & np.isfinite(values) if item.gaps else wrong
+        _refuse(name, values, wrong, f"numbers up to {largest:g}")
+        if item.below:
+            size, of = self._sizes[item.below]
+            _refuse(name, values, values >= size, f"below {size}, the length of '{of}'")
+        for rule in item.rules:
+            _refuse(name, values, rule.wrong(values), rule.expected)
+        return values
+
+
+def _look_up(plain: Tree, dotted: str) -> Any:
+    """Value at a dotted path; whether it is missing, or in a section that is null."""
+    value: Any = plain
+    for part in dotted.split("."):
+        if value is None:
+            return _BELOW_NULL
+        if not isinstance(value, dict) or part not in value:
+            return _MISSING
+        value = value[part]
+    return value
+
+
+def _value(name: str, item: Item, value: Any) -> Any:
+    """Value of a field that is not in an array of its own."""
+    if isinstance(item, Plain):
+        return _parsed(name, item, value)
+    if isinstance(item, Section) and isinstance(value, dict):
+        return {}
+    if item.optional and value is None:
+        return None
+    kind = f"an array of {_WORDS[item.kind]}" if isinstance(item, Numbers) else "a mapping"
+    raise _Wrong(f"'{name}', which must be {kind}, as {_kind_of(value)}")
+
+
+def _parsed(name: str, item: Plain, value: Any) -> Any:
+    try:
+        # JSON has no tuples: only where it reads JSON does pydantic, when it is strict, make them of lists.
+        return _adapter(item.type).validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join([name, *(str(part) for part in first["loc"])])
+        raise _Wrong(f"'{brief(where)}' in {brief(repr(value))}: {brief(first['msg'])}") from None
+
+
+@cache
+def _adapter(annotation: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(annotation)
+
+
+def _nested(table: Table, values: Tree) -> Tree:
+    """Values by their names, those of sections in dictionaries of their own."""
+    tree = Tree()
+    for name in table:
+        if name in values:
+            section, _, last = name.rpartition(".")
+            (tree[section] if section else tree)[last] = values[name]
+    return tree
+
+
+def _refuse(name: str, values: Any, wrong: BoolArray, expected: str) -> None:
+    """Raise _Wrong at the first place of a mask of the values, or of their rows."""
+    if wrong.any():
+        first = tuple(int(index[0]) for index in np.nonzero(wrong))
+        got = np.array2string(values[first], separator=", ", threshold=6, edgeitems=2)
+        raise _Wrong(f"'{name}', which must be {expected}, with {brief(' '.join(got.split()))} at {first}")
+
+
+def _children(value: Any, *, keys: bool = False) -> Iterable[Any]:
+    """Values of a mapping, or its keys, or items of a list; of anything else, none."""
+    if isinstance(value, dict):
+        return value.keys() if keys else value.values()
+    return value if isinstance(value, list) and not keys else ()
+
+
+def _deeper(tree: Tree, most: int) -> bool:
+    """Whether plain data is nested more deeply than that."""
+    level: list[Any] = [tree]
+    for _ in range(most):
+        level = [child for value in level for child in _children(value)]
+    return bool(level)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> Tree:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise _Wrong("plain data with a key that stands twice")
+    return found
+
+
+def _number(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise _Wrong(f"plain data with {brief(text)} in place of a finite number")
+    return number
+
+
+def _whole(text: str) -> int:
+    if abs(number := _number(text)) > _LARGEST_INTEGER:
+        raise _Wrong(f"plain data with the whole number {number:.3g}")
+    return int(text)
+
+
+def _kind_of(value: Any) -> str:
+    return "null" if value is None else f"{type(value).__name__} {brief(repr(value))}"

@@ -1,0 +1,137 @@
+"""The words in which a table says what a saved archive must hold: adding a field is one line in the table.
+
+A table maps the dotted path of each field to what it is; :mod:`vislam.archive` holds an archive to it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from vislam.geometry import so3
+from vislam.types import Array, BoolArray
+
+Count = Annotated[int, Field(ge=0)]
+Level = Annotated[float, Field(ge=0, le=1e30)]
+Extent = Annotated[float, Field(gt=0, le=1e9)]
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+_ROTATION_TOLERANCE = 1e-3
+"""How far R^T R may be from the identity: reference files carry seven digits."""
+_LARGEST_ID = 10**7
+"""Tracks are counted by their ids, so that a large one takes memory."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What the rows of an array must be.
+
+    Attributes
+    ----------
+    expected : str
+    wrong : callable
+        Mask ``(n,)`` of the rows that are not, of an array ``(n, ...)``.
+    """
+
+    expected: str
+    wrong: Callable[[Array], BoolArray]
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """An array.
+
+    Attributes
+    ----------
+    shape : str
+        Sizes and letters, as in ``"T 6"``; fields with a letter in common share its size. ``|`` stands
+        between shapes of which one is to be met.
+    kind : str
+    rules : tuple of Rule
+    gaps : bool
+        Whether values that are not finite stand for what is not given, or known.
+    optional : bool
+        Whether null may stand in its place.
+    below : str
+        Letter whose size all values are below, as indices of its rows; empty for none.
+    later : bool
+        Whether archives of older versions lack it.
+    """
+
+    shape: str
+    kind: Literal["real", "whole", "mask"]
+    rules: tuple[Rule, ...] = ()
+    gaps: bool = False
+    optional: bool = False
+    below: str = ""
+    later: bool = False
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A value of JSON, of a type as pydantic checks it; archives of older versions may lack a later one."""
+
+    type: Any
+    later: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """A mapping whose fields have lines of their own; if it is optional, null may stand in its place."""
+
+    optional: bool = False
+    later: bool = False
+
+
+Item = Numbers | Plain | Section
+Table = Mapping[str, Item]
+
+
+def real(
+    shape: str, *rules: Rule, gaps: bool = False, optional: bool = False, later: bool = False
+) -> Numbers:
+    """Array of real numbers."""
+    return Numbers(shape, "real", rules, gaps, optional, later=later)
+
+
+def whole(shape: str, *rules: Rule, below: str = "") -> Numbers:
+    """Array of whole numbers."""
+    return Numbers(shape, "whole", rules, below=below)
+
+
+def mask(shape: str) -> Numbers:
+    """Array of booleans."""
+    return Numbers(shape, "mask")
+
+
+def _any_of_row(wrong: BoolArray) -> BoolArray:
+    return np.asarray(wrong.reshape(len(wrong), -1).any(axis=1))
+
+
+def _repeated(values: Array) -> BoolArray:
+    again = np.ones(len(values), bool)
+    again[np.unique(values, return_index=True)[1]] = False
+    return again
+
+
+def _not_rigid(pose: Array) -> BoolArray:
+    pose = pose.reshape(-1, 4, 4)
+    off, determinant = so3.defect(pose[:, :3, :3])
+    good = (off < _ROTATION_TOLERANCE) & (determinant > 0.0)
+    return np.asarray(~good | np.any(pose[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=1))
+
+
+def _no_direction(vector: Array) -> BoolArray:
+    return np.full(len(vector), abs(np.linalg.norm(vector) - 1.0) > _ROTATION_TOLERANCE)
+
+
+INCREASING = Rule("increasing", lambda values: np.diff(values, prepend=values[:1] - 1) <= 0)
+SORTED = Rule("in order", lambda values: np.diff(values, prepend=values[:1]) < 0)
+NOT_NEGATIVE = Rule("not negative", lambda values: _any_of_row(values < 0))
+POSITIVE = Rule("positive", lambda values: _any_of_row(values <= 0))
+UNIQUE = Rule("without repetitions", _repeated)
+IDS = Rule(f"ids from 0 to {_LARGEST_ID:g}", lambda values: (values < 0) | (values > _LARGEST_ID))
+RIGID = Rule("rigid transforms (rotation, determinant +1, last row 0 0 0 1)", _not_rigid)
+DIRECTION = Rule("a direction of length 1", _no_direction)
