@@ -234,7 +234,7 @@ def test_annotated_yaml_is_the_same_yaml():
     text = "\n".join(annotated(lines, marks))
     assert yaml.safe_load(text) == yaml.safe_load("\n".join(lines))
     assert "# one\na: 1" in text
-    assert "  # two lines of it\n  c:" in text
+    assert "  # two lines \\x07 of it\n  c:" in text
     assert "    # b.d.e.missing: three\n    e: null" in text
     assert max(len(line) for line in text.splitlines()) < 500
 

@@ -50,6 +50,7 @@ def write_course_npz(path: Path, sequence: Sequence) -> None:
         "b": np.array(rig.baseline),
         "imu_T_cam": rig.imu_T_cam,
     }
+    path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
         for key, value in small.items():
             with _member(archive, key) as stream:

@@ -50,7 +50,7 @@ def proposed_config(
         _point_at(changed, path, folders, written_to.resolve().parent)
     text = configuration.dump(configuration.parse(Config, changed))
     marks = {dotted: f"unknown: {reason}" for dotted, reason in result.unknown.items()}
-    told = [f"# By python -m vislam.inspect on {result.name}, from its data alone. Its findings:"]
+    told = [_comment(f"By python -m vislam.inspect on {result.name}, from its data alone. Its findings:")]
     told += [_comment(f"{item.verdict.upper()} {item.check}: {item.text}") for item in result.findings]
     return "\n".join([*told, *annotated(text.splitlines(), marks)]) + "\n"
 
