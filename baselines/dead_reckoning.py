@@ -8,12 +8,12 @@ from pydantic.dataclasses import dataclass
 
 from baselines.twist import Integration, step_twist
 from vislam import config, motion
+from vislam.base.fields import STRICT
+from vislam.base.types import Array, BoolArray
 from vislam.config import Six
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
-from vislam.fields import STRICT
 from vislam.motion import BIAS, POSE
-from vislam.types import Array, BoolArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

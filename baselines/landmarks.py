@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.sightings import Sightings
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
 from vislam.sensors import StereoRig
-from vislam.types import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from baselines.landmarks import Landmarks, initialise, update
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 from vislam import config
+from vislam.base.fields import STRICT, Positive
+from vislam.base.types import Array, BoolArray
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
-from vislam.fields import STRICT, Positive
-from vislam.types import Array, BoolArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

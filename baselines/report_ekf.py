@@ -17,12 +17,12 @@ from baselines.landmarks import Landmarks, initialise
 from baselines.sightings import NEAREST, pixel_variances
 from baselines.twist import Integration, step_twist
 from vislam import config, motion
+from vislam.base.fields import STRICT, Positive
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
-from vislam.fields import STRICT, Positive
 from vislam.geometry import se3, so3
 from vislam.motion import BIAS, NAV, POSE
-from vislam.types import Array, BoolArray, IntArray
 
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""

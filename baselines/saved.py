@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from vislam.base.errors import ConfigError, DataError
+from vislam.base.types import Array
 from vislam.data import Frame
-from vislam.errors import ConfigError, DataError
 from vislam.run import Run
-from vislam.types import Array
 
 _SAME_TIME = 1e-6
 """Stamps that differ by no more are of the same frame [s]."""

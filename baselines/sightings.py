@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray
 from vislam.data import Frame
 from vislam.geometry import se3, so3
 from vislam.sensors import StereoRig
 from vislam.sensors.noise import SHARES
-from vislam.types import Array, BoolArray
 
 NEAREST = 0.5
 """A point that would be nearer than this, or behind the camera, is not seen [m]."""

@@ -2,8 +2,8 @@
 
 from typing import Literal
 
+from vislam.base.types import Array
 from vislam.data import Frame
-from vislam.types import Array
 
 Integration = Literal["mean", "first"]
 """``mean``: the mean over the step. ``first``: the value at its start, as in the report's eq. (23)."""

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import MotionNoise
 from vislam.sensors import TrackNoise
 from vislam.simulation import SimulationConfig, simulate
-from vislam.types import Array
 
 _PERIOD = 0.1
 _SPEED = 10.0

@@ -26,6 +26,8 @@ from benchmarks import consistency_figures
 from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
 from vislam import estimator, loop
+from vislam.base.files import replace_whole
+from vislam.base.types import Array
 from vislam.config import parse
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.estimator import Problem
@@ -38,9 +40,7 @@ from vislam.evaluation.consistency import (
     consistency,
     coverage,
 )
-from vislam.files import replace_whole
 from vislam.terminal import Terminal
-from vislam.types import Array
 
 MOTION_ALONE = "dead_reckoning"
 """The check of the motion noise: linear enough over the first frames."""

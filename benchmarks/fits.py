@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from vislam.types import Array
+from vislam.base.types import Array
 
 _DEGREE = 3
 

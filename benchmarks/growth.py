@@ -15,9 +15,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import Drive, Part, milliseconds
+from vislam.base.memory import PeakMemory
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.memory import PeakMemory
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.errors import DataError
+from vislam.base.types import Array
 from vislam.data.reference import Reference
-from vislam.errors import DataError
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate, distance_driven
 from vislam.geometry import se3, so3
 from vislam.sensors import StereoRig
-from vislam.types import Array
 
 _AHEAD = np.array([0.0, 0.0, 20.0])
 """A point in front of the left camera [m]."""

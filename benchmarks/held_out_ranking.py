@@ -18,11 +18,11 @@ from benchmarks.held_out_figure import dots
 from benchmarks.held_out_runs import VARIANTS, Given, Variant
 from benchmarks.telling import tell
 from benchmarks.timing import Drive, Part
+from vislam.base.errors import DataError
+from vislam.base.files import check_writable, replace_whole
 from vislam.command import answer
 from vislam.config import Config, DataConfig, NoiseConfig, load
-from vislam.errors import DataError
 from vislam.evaluation.held_out import CAP_PX, HeldOut, HeldOutScore, hold_out, paired, score
-from vislam.files import check_writable, replace_whole
 from vislam.simulation import SimulationConfig
 from vislam.terminal import Terminal
 

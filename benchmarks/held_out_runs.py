@@ -11,12 +11,12 @@ import numpy as np
 
 from benchmarks.timing import Drive
 from vislam import estimator, loop
+from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Sequence
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import MotionNoise
 from vislam.run import Run
-from vislam.types import Array, BoolArray
 
 OPTIONS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {"robust": "student"},

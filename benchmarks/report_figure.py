@@ -8,11 +8,11 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vislam.base.types import Array
 from vislam.data.reference import Reference
 from vislam.geometry import se3
 from vislam.report.placement import reference_T_world
 from vislam.run import Run
-from vislam.types import Array
 
 _MARGIN = 0.2
 """Room around the reference, as a share of its length."""

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vislam.types import Array
+from vislam.base.types import Array
 
 _WINDOW = 25
 # Okabe and Ito's colours, which the colour-blind can tell apart; one a kind of setting.

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.growth import give_back, simulated_config
 from benchmarks.smoothing import smoothed
 from benchmarks.timing import Drive, Part, milliseconds
-from vislam.memory import PeakMemory
+from vislam.base.memory import PeakMemory
 from vislam.smoother import SmootherEstimator, SmootherOptions
 
 FRAMES = (1_000, 3_000, 10_000)

@@ -14,13 +14,13 @@ import numpy as np
 from benchmarks.smoother_figure import steps
 from benchmarks.smoothing import Smoothed, smoothed
 from benchmarks.timing import Drive, Part, milliseconds
+from vislam.base.files import replace_whole
+from vislam.base.types import Array
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate
-from vislam.files import replace_whole
 from vislam.smoother import SmootherOptions
 from vislam.smoother.family import MEMBERS
-from vislam.types import Array
 
 _SHIPPED = SmootherOptions()
 _SCALES = {0.15: 3.0, 0.5: 10.0}

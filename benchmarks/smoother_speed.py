@@ -16,10 +16,10 @@ from pathlib import Path
 from benchmarks import smoother_growth, smoother_recording, smoother_settings
 from benchmarks.telling import tell
 from benchmarks.timing import Drive, Part
+from vislam.base.errors import ConfigError, DataError
+from vislam.base.files import check_writable
 from vislam.command import answer
 from vislam.config import Config
-from vislam.errors import ConfigError, DataError
-from vislam.files import check_writable
 
 _CONFIGS = Path(__file__).parents[1] / "configs"
 

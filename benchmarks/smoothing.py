@@ -11,9 +11,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import Drive
+from vislam.base.types import Array
 from vislam.estimator import Estimate
 from vislam.smoother import SmootherEstimator, SmootherOptions, engine
-from vislam.types import Array
 
 
 @dataclass

@@ -7,8 +7,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_info
 
 from benchmarks.timing import Part
+from vislam.base.files import replace_whole
 from vislam.comparison import provenance
-from vislam.files import replace_whole
 from vislam.terminal import Terminal
 
 

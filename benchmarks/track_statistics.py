@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError
+from vislam.base.types import Array, IntArray
 from vislam.command import answer
 from vislam.config import Config, DataConfig
 from vislam.data import sequence as data
 from vislam.data.source import open_dataset
-from vislam.errors import ConfigError
 from vislam.terminal import Terminal
-from vislam.types import Array, IntArray
 from vislam.vision import continuations, rigid_fits
 
 _UNITS = ("mean column [px]", "disparity [px]", "row [px]")

@@ -11,11 +11,11 @@ import pytest
 from scipy.stats import chi2
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError, DataError
 from vislam.checks.judge import Checklist
 from vislam.checks.junit import write_junit
 from vislam.checks.saved import Saved
 from vislam.config import Config
-from vislam.errors import ConfigError, DataError
 from vislam.evaluation import Evaluation, Metric
 
 VALUES = {

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from baselines.mapping_only import MappingOnlyOptions
 from baselines.report_ekf import ReportEkfOptions
 from vislam import config
+from vislam.base.errors import ConfigError
+from vislam.base.yaml_text import parse_yaml
 from vislam.config import Config
 from vislam.ekf.options import EkfOptions
-from vislam.errors import ConfigError
 from vislam.smoother.options import SmootherOptions
-from vislam.yaml_text import parse_yaml
 
 CONFIGS = sorted((Path(__file__).parents[1] / "configs").glob("*.yaml"))
 BASE = """

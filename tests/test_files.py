@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vislam.errors import NotWrittenError
-from vislam.files import (
+from vislam.base.errors import NotWrittenError
+from vislam.base.files import (
     check_writable,
     folder_name,
     open_regular,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 
-from vislam.legible import literal, one_line, quoted, visible, visible_lines
+from vislam.base.legible import literal, one_line, quoted, visible, visible_lines
 
 ANY = st.text(st.characters())
 PLAIN = st.recursive(

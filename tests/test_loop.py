@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vislam import loop
+from vislam.base.errors import Interrupted
 from vislam.data.source import Dataset
-from vislam.errors import Interrupted
 from vislam.estimator import Estimate, StepRecord
 
 

@@ -17,13 +17,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vislam import archive, compare, evaluate, record, run
-from vislam.archive import read_archive
-from vislam.data.npy import PackedArray
-from vislam.errors import DataError
+from vislam import compare, evaluate, record, run
+from vislam.base import archive
+from vislam.base.archive import read_archive
+from vislam.base.errors import DataError
+from vislam.base.npy import PackedArray
+from vislam.base.schema import Numbers, Plain, real, whole
 from vislam.record import Record
 from vislam.run import Run
-from vislam.schema import Numbers, Plain, real, whole
 
 CONFIG = """\
 name: small

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vislam.base.errors import ConfigError
 from vislam.command import Parser, add_config_options, answer, load_config
-from vislam.errors import ConfigError
 
 _BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
 

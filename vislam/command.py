@@ -12,11 +12,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from vislam.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted, first_line
-from vislam.files import check_writable
-from vislam.legible import one_line, quoted
+from vislam.base.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted, first_line
+from vislam.base.files import check_writable
+from vislam.base.legible import one_line, quoted
+from vislam.base.yaml_text import parse_yaml
 from vislam.streams import lasting_streams
-from vislam.yaml_text import parse_yaml
 
 _log = logging.getLogger("vislam.command")
 

@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError, DataError, Interrupted
+from vislam.base.files import check_writable, folder_name
+from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
 from vislam.data.find import search_path
 from vislam.data.source import Dataset, open_dataset, require_usable
-from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
-from vislam.files import check_writable, folder_name
 from vislam.frozen import FrozenList
 from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper
@@ -29,7 +30,6 @@ from vislam.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, a
 from vislam.running import Runner
 from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
-from vislam.types import Array, BoolArray
 
 _ID_DIGITS = 10
 """Digits of the hash in the name of a results folder."""

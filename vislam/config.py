@@ -10,15 +10,15 @@ import yaml
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from vislam.base.errors import ConfigError, first_line
+from vislam.base.fields import STRICT, NonNegative, Positive, Seed
+from vislam.base.files import open_regular
+from vislam.base.legible import one_line, quoted
+from vislam.base.yaml_text import DEEPEST, parse_yaml, unwritable
 from vislam.checks.settings import Check
-from vislam.errors import ConfigError, first_line
-from vislam.fields import STRICT, NonNegative, Positive, Seed
-from vislam.files import open_regular
-from vislam.legible import one_line, quoted
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 from vislam.study.settings import StudyConfig
-from vislam.yaml_text import DEEPEST, parse_yaml, unwritable
 
 Parsed = TypeVar("Parsed")
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from vislam.base.errors import ContractError
+from vislam.base.legible import quoted
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
-from vislam.errors import ContractError
 from vislam.estimator import Estimate, StepRecord
 from vislam.geometry import so3
-from vislam.legible import quoted
-from vislam.types import Array, BoolArray, IntArray
 
 _ROTATION_TOLERANCE = 1e-4
 """How far R^T R may be from the identity: what float32 and long products leave."""

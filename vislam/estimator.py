@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
+from vislam.base.errors import ConfigError
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
-from vislam.errors import ConfigError
 from vislam.motion import MotionNoise
 from vislam.sensors import StereoRig, TrackNoise
-from vislam.types import Array, BoolArray, IntArray
 
 GROUP = "vislam.estimators"
 """Entry-point group under which estimators are found by name."""

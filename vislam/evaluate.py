@@ -39,9 +39,9 @@ def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
     import numpy as np  # noqa: PLC0415
 
+    from vislam.base.files import check_writable  # noqa: PLC0415
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.external import with_trajectories  # noqa: PLC0415
-    from vislam.files import check_writable  # noqa: PLC0415
     from vislam.results import PLACES, SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 

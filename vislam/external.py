@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError, DataError
 from vislam.config import ReferenceConfig
 from vislam.data.reference_files import load_reference
-from vislam.errors import ConfigError, DataError
 from vislam.geometry import se3
 from vislam.record import Record
 from vislam.results import Results

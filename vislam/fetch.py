@@ -8,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vislam.base.errors import DataError
 from vislam.command import Parser, answer
 from vislam.data import download
-from vislam.errors import DataError
 from vislam.terminal import Terminal
 
 _DAY = 86400.0

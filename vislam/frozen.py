@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import BoolArray
 from vislam.data import sequence as data
 from vislam.run import Run
-from vislam.types import BoolArray
 
 _DIGITS = 12
 

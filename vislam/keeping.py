@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from vislam.base.errors import DataError
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
-from vislam.errors import DataError
 from vislam.run import Run
 
 _log = logging.getLogger("vislam")

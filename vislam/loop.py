@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vislam.arrays import immutable
+from vislam.base.arrays import immutable
+from vislam.base.errors import ContractError, Interrupted, first_line
+from vislam.base.memory import PeakMemory
+from vislam.base.types import Array, BoolArray
 from vislam.contract import checked_estimate, checked_step
 from vislam.data.sequence import Sequence
-from vislam.errors import ContractError, Interrupted, first_line
 from vislam.estimator import Estimate, Estimator, StepRecord
-from vislam.memory import PeakMemory
 from vislam.run import Run
-from vislam.types import Array, BoolArray
 
 _LONGEST_REASON = 400
 _LONGEST_TRACEBACK = 20_000

@@ -11,10 +11,10 @@ from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
 from vislam import estimator
+from vislam.base.errors import ConfigError, DataError, Interrupted
+from vislam.base.fields import STRICT
 from vislam.config import Config
-from vislam.errors import ConfigError, DataError, Interrupted
 from vislam.estimator import Build, Estimator, Problem
-from vislam.fields import STRICT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.geometry import se3
-from vislam.types import Array
 
 POSE = slice(0, 6)
 """Where the pose stands in the navigation state."""

@@ -7,15 +7,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from vislam.archive import read_archive
-from vislam.data.reference import Reference
-from vislam.data.sequence import Repair, Sequence
-from vislam.errors import DataError
-from vislam.files import save_archive
-from vislam.frozen import FrozenList
-from vislam.legible import brief
-from vislam.run import Run
-from vislam.schema import (
+from vislam.base.archive import read_archive
+from vislam.base.errors import DataError
+from vislam.base.files import save_archive
+from vislam.base.legible import brief
+from vislam.base.schema import (
     IDS,
     INCREASING,
     NOT_NEGATIVE,
@@ -33,8 +29,12 @@ from vislam.schema import (
     real,
     whole,
 )
+from vislam.base.types import Array, IntArray
+from vislam.data.reference import Reference
+from vislam.data.sequence import Repair, Sequence
+from vislam.frozen import FrozenList
+from vislam.run import Run
 from vislam.sensors import StereoRig
-from vislam.types import Array, IntArray
 
 _WHAT = "the saved record of a drive"
 _TABLE: Table = {

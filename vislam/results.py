@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from vislam import config as configuration
+from vislam.base.errors import INTERRUPTED, DataError
+from vislam.base.files import replace_whole, write_text
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
 from vislam.config import Config
-from vislam.errors import INTERRUPTED, DataError
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
-from vislam.files import replace_whole, write_text
 from vislam.keeping import RUNS
 from vislam.record import Record
 from vislam.report.figures import all_figures

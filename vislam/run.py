@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.archive import read_archive
-from vislam.files import save_archive
-from vislam.geometry import se3, so3
-from vislam.schema import (
+from vislam.base.archive import read_archive
+from vislam.base.files import save_archive
+from vislam.base.schema import (
     DIRECTION,
     IDS,
     INCREASING,
@@ -23,7 +22,8 @@ from vislam.schema import (
     real,
     whole,
 )
-from vislam.types import Array, BoolArray, IntArray
+from vislam.base.types import Array, BoolArray, IntArray
+from vislam.geometry import se3, so3
 
 _TABLE: Table = {
     "name": Plain(str),

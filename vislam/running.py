@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam import loop
+from vislam.base.errors import ConfigError, DivergedError, Interrupted
+from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Sequence
-from vislam.errors import ConfigError, DivergedError, Interrupted
 from vislam.estimator import Estimator
 from vislam.frozen import FrozenList
 from vislam.keeping import Keeper
 from vislam.members import Unbuilt
 from vislam.run import Run
 from vislam.terminal import Terminal
-from vislam.types import Array, BoolArray
 
 _IDENTITY_DIGITS = 16
 

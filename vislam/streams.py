@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
-from vislam.legible import visible_lines
+from vislam.base.legible import visible_lines
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from vislam.legible import one_line
+from vislam.base.legible import one_line
 from vislam.report.table import Table
 
 _FEWEST_COLUMNS = 100

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray
 from vislam.geometry import se3
 from vislam.sensors import StereoRig
-from vislam.types import Array, BoolArray
 
 _NEAREST = 1.0
 """A point nearer to a camera than this cannot have been seen by it [m]."""

@@ -6,10 +6,10 @@ import pytest
 from baselines import dead_reckoning
 from baselines.twist import step_twist
 from vislam import loop
+from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem
 from vislam.config import Config
 from vislam.data.source import Dataset
-from vislam.errors import ConfigError
 from vislam.geometry import se3
 
 

@@ -9,10 +9,10 @@ from baselines.report_ekf import ReportEkf, ReportEkfOptions, build, circled_dot
 from tests.conftest import from_first, recorded
 from tests.smoother.drives import drive
 from vislam import config as configuration
+from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.errors import ConfigError
 from vislam.geometry import se3
 from vislam.loop import run
 from vislam.run import Run

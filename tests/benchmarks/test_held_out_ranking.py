@@ -10,7 +10,7 @@ from benchmarks.held_out_errors import AXES, errors
 from benchmarks.held_out_ranking import SCORES, SIMULATED, main
 from benchmarks.held_out_runs import VARIANTS, Given
 from benchmarks.timing import Drive
-from vislam.errors import DataError
+from vislam.base.errors import DataError
 from vislam.geometry import se3
 
 RUNS = (

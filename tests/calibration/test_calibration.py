@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vislam.base.errors import DataError, DivergedError
 from vislam.calibration import Calibration, calibrate, parameters
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator
-from vislam.errors import DataError, DivergedError
 from vislam.geometry import se3
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock

@@ -5,12 +5,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from vislam.base.errors import DataError
 from vislam.calibration.likelihood import Evaluator, first_frames
 from vislam.calibration.parameters import MATCH, parameters
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.sequence import Sequence
 from vislam.data.source import Dataset, open_dataset
-from vislam.errors import DataError
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset

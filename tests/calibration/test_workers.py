@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.study.processes import environment, python, until
+from vislam.base.errors import DivergedError
 from vislam.calibration.workers import Workers
-from vislam.errors import DivergedError
 
 CONFIG = """\
 name: small

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vislam import compare, loop
-from vislam.errors import Interrupted
+from vislam.base.errors import Interrupted
 from vislam.run import Run
 
 ROOT = Path(__file__).parents[2]

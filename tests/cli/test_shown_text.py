@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from vislam import compare, evaluate, inspect
+from vislam.base.files import folder_name
 from vislam.config import LONGEST_NAME
-from vislam.files import folder_name
 from vislam.terminal import Terminal
 
 ROOT = Path(__file__).parents[2]

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from tests.cli.test_compare import config_file, course_file
 from vislam import repair
+from vislam.base.errors import DataError
 from vislam.compare import main
 from vislam.config import ReferenceConfig
 from vislam.data import course_npz, load_course_npz
 from vislam.data.oxts import with_oxts
 from vislam.data.reference_files import load_reference
-from vislam.errors import DataError
 
 MOST_MEMORY = 40e6
 KEYS = ("time_stamps", "features", "linear_velocity", "angular_velocity", "K", "b", "imu_T_cam")

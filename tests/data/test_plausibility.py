@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.cli.test_compare import course_file
+from vislam.base.errors import DataError
 from vislam.calibration import calibrate
 from vislam.compare import main
 from vislam.comparison import run_comparison
@@ -15,7 +16,6 @@ from vislam.config import Config, DataConfig
 from vislam.data.course_export import write_course_npz
 from vislam.data.plausibility import implausible, motion_ratios
 from vislam.data.source import Dataset, open_dataset, require_usable
-from vislam.errors import DataError
 from vislam.geometry import se3
 from vislam.repair import RepairConfig, apply
 from vislam.repair.mounting import Baseline

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import recorded
+from vislam.base.types import Array
 from vislam.calibration.likelihood import first_frames
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, load
@@ -16,7 +17,6 @@ from vislam.ekf.backward import Smoothed
 from vislam.ekf.dense import DenseFilter
 from vislam.ekf.linear import Update
 from vislam.loop import run
-from vislam.types import Array
 
 FORMS = [
     pytest.param({"error": error, "landmarks": landmarks}, id=f"{error}-{landmarks}")

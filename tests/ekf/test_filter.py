@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
+from vislam.base.errors import DivergedError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig
 from vislam.data.source import Dataset, open_dataset
@@ -14,7 +15,6 @@ from vislam.ekf.dense import DenseFilter
 from vislam.ekf.layout import NAV
 from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.state import JointState
-from vislam.errors import DivergedError
 from vislam.loop import run
 from vislam.motion import BIAS
 from vislam.repair import RepairConfig

@@ -7,6 +7,7 @@ import pytest
 
 from tests.conftest import from_first
 from tests.records import made_record
+from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ClimbConfig, Config, DataConfig
 from vislam.data.source import Dataset, open_dataset
@@ -14,7 +15,6 @@ from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.ekf.layout import CLOCK, NAV, OFFSET, TILT
 from vislam.ekf.linear import Update
 from vislam.ekf.state import JointState
-from vislam.errors import ConfigError
 from vislam.estimator import find
 from vislam.evaluation import evaluate
 from vislam.geometry import se3

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.evaluation.test_evaluation import circle, made_run
 from tests.records import made_record
 from vislam import command, compare, evaluate
+from vislam.base.errors import ConfigError
 from vislam.data.reference import Reference, truth_reference
-from vislam.errors import ConfigError
 from vislam.geometry import se3
 from vislam.record import Tracks
 

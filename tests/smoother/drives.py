@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tests.conftest import from_first
+from vislam.base.types import Array
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.data.sequence import Sequence, piecewise_constant
@@ -22,7 +23,6 @@ from vislam.run import Run
 from vislam.sensors import CAMERA_AXES, StereoRig
 from vislam.simulation import SimulationConfig
 from vislam.smoother import SmootherEstimator, SmootherOptions, family
-from vislam.types import Array
 
 BUILD = {
     "isam2": family.build_isam2,

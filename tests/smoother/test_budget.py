@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.smoother.drives import BUILD, drive
+from vislam.base.errors import ConfigError, Interrupted
 from vislam.command import interruptible
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.errors import ConfigError, Interrupted
 from vislam.loop import run
 from vislam.smoother import descent
 from vislam.smoother.batch import minimise

@@ -8,11 +8,11 @@ import pytest
 
 from tests.conftest import from_first
 from tests.smoother.drives import BUILD, RIG, ate, drive, gap, member, smoother
+from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ClimbConfig, Config
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.errors import ConfigError
 from vislam.geometry import se3
 from vislam.loop import run
 from vislam.smoother import engine

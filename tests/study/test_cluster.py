@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from distributed import Client, Future
 
-from vislam.errors import ConfigError, DataError
+from vislam.base.errors import ConfigError, DataError
 from vislam.identity import code_digest
 from vislam.study import cluster
 from vislam.study.cluster import LOST, Cluster, run_trials

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError
 from vislam.config import Config
-from vislam.errors import ConfigError
 from vislam.study.points import Point, all_points, all_trials, point_values
 from vislam.study.settings import LatinHypercube, StudyConfig
 from vislam.study.trials import Trials

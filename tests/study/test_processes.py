@@ -30,7 +30,7 @@ from tests.study.processes import (
     workers_of,
 )
 from vislam import config as configuration
-from vislam.errors import ConfigError, DataError
+from vislam.base.errors import ConfigError, DataError
 from vislam.identity import code_digest
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.plan import Plan

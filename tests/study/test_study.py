@@ -11,8 +11,8 @@ import pytest
 
 from tests.conftest import recorded
 from vislam import config as configuration
+from vislam.base.errors import Interrupted
 from vislam.command import answer
-from vislam.errors import Interrupted
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST

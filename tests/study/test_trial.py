@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import vislam.study.trial
-from vislam.errors import Interrupted
+from vislam.base.errors import Interrupted
 from vislam.identity import code_digest
 from vislam.study.points import Point
 from vislam.study.trial import run_trial

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array, BoolArray
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
@@ -14,9 +16,7 @@ from vislam.calibration.search import ROUNDS, Round, maximise
 from vislam.calibration.workers import Workers
 from vislam.config import Config
 from vislam.data.source import Dataset, require_usable
-from vislam.errors import DivergedError
 from vislam.run import Run
-from vislam.types import Array, BoolArray
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3

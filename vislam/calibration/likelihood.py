@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam import loop
+from vislam.base.errors import DataError
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.workers import Workers
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
 from vislam.data.sequence import Sequence
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.errors import DataError
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 from vislam.run import Run
-from vislam.types import Array, BoolArray, IntArray
 
 _OPTIONS = EkfOptions(finished="as_left")
 """The standard filter, without the way back: only innovations are wanted."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.calibration.likelihood import Evaluator
 from vislam.config import Config
-from vislam.types import Array
 
 _ITERATIONS = 4
 _RESTS = 0.01

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from vislam import config as configuration
+from vislam.base.files import check_writable, write_text
 from vislam.config import Config
-from vislam.files import check_writable, write_text
 
 
 class Output:

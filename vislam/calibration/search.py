@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vislam.types import Array, BoolArray
+from vislam.base.types import Array, BoolArray
 
 Evaluate = Callable[[list[Array]], list[Array]]
 """From points ``(p,)`` to log likelihoods of each frame ``(T,)``."""

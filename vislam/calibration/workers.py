@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from vislam.errors import DivergedError
+from vislam.base.errors import DivergedError
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from vislam.base.errors import ConfigError
 from vislam.checks.saved import Saved
 from vislam.checks.settings import SAVED, Check, refuse_unknown
 from vislam.config import Config
 from vislam.data.reference import Reference
-from vislam.errors import ConfigError
 from vislam.evaluation import Evaluation
 from vislam.run import Run
 

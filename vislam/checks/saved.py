@@ -10,10 +10,10 @@ from pydantic import Field, StrictBool, StrictFloat
 from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
+from vislam.base.errors import ConfigError, DataError, first_line
+from vislam.base.files import open_regular
+from vislam.base.legible import brief
 from vislam.checks.settings import SAVED, Check
-from vislam.errors import ConfigError, DataError, first_line
-from vislam.files import open_regular
-from vislam.legible import brief
 
 _MOST_BYTES = 1 << 26
 """Largest ``metrics.json``; that of ten estimators has less than a hundredth."""

@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vislam.errors import ConfigError
-from vislam.fields import STRICT
+from vislam.base.errors import ConfigError
+from vislam.base.fields import STRICT
 
 SAVED = "saved"
 """What ``times`` says for the saved results."""

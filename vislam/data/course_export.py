@@ -8,10 +8,10 @@ from typing import IO
 
 import numpy as np
 
-from vislam.data.npy import LARGEST_BYTES
+from vislam.base.errors import DataError
+from vislam.base.npy import LARGEST_BYTES
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence
-from vislam.errors import DataError
-from vislam.types import Array
 
 _UNSEEN = -1.0
 _EPOCH = (1980, 1, 1, 0, 0, 0)

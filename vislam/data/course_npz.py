@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.data.npy import ArrayError, PackedArray, open_array
+from vislam.base.errors import DataError, first_line
+from vislam.base.legible import brief
+from vislam.base.npy import ArrayError, PackedArray, open_array
+from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
-from vislam.errors import DataError, first_line
 from vislam.geometry import se3, so3
-from vislam.legible import brief
 from vislam.sensors import StereoRig
-from vislam.types import Array, IntArray
 
 _UNSEEN = -1.0
 _MOST_SMALL_VALUES = 1 << 22

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from vislam.errors import DataError, NotWrittenError
-from vislam.files import check_writable, open_regular, replace_whole
+from vislam.base.errors import DataError, NotWrittenError
+from vislam.base.files import check_writable, open_regular, replace_whole
 
 TIMEOUT = 30.0
 """Seconds without a byte after which a server is given up."""

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vislam.files import replace_whole
+from vislam.base.files import replace_whole
+from vislam.base.types import Array
 from vislam.run import Run
-from vislam.types import Array
 
 
 def write_tum(path: Path, stamp: Array, world_T_imu: Array) -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from vislam.base.errors import DataError
+from vislam.base.types import Array
 from vislam.data.batch import batch_poses
 from vislam.data.reference import Reference
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.data.text import read_table
-from vislam.errors import DataError
 from vislam.geometry import se3
 from vislam.sensors import CAMERA_AXES, StereoRig
-from vislam.types import Array
 
 _PERIOD = 0.1037
 """Mean camera period of KITTI odometry 00 [s]; the files number the frames and have no stamps."""

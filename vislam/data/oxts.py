@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from vislam.base.errors import DataError
+from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
 from vislam.data.text import read_lines, read_table
-from vislam.errors import DataError
-from vislam.types import Array, IntArray
 
 _COLUMNS = 30
 _TWIST = [17, 18, 19, 8, 9, 10]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vislam.types import Array, IntArray
+from vislam.base.types import Array, IntArray
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from vislam.base.errors import DataError
+from vislam.base.types import Array, IntArray
 from vislam.config import STAMPED, ReferenceConfig
 from vislam.data.reference import Reference
 from vislam.data.text import read_table
-from vislam.errors import DataError
 from vislam.geometry import se3, so3
 from vislam.sensors import CAMERA_AXES
-from vislam.types import Array, IntArray
 
 _log = logging.getLogger("vislam.data")
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from vislam.arrays import immutable
+from vislam.base.arrays import immutable
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.sensors import StereoRig
-from vislam.types import Array, BoolArray, IntArray
 
 _STEP_END = 1e-7
 """How far the samples of a step with constant twist lie inside its ends, as a share of its length."""

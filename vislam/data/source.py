@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vislam import repair
+from vislam.base.errors import DataError
 from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.data.course_npz import load_course_npz
 from vislam.data.find import find_file, find_path, not_found, search_path
@@ -17,7 +18,6 @@ from vislam.data.recorded_drive import simulated_drive
 from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
 from vislam.data.sequence import Repair, Sequence
-from vislam.errors import DataError
 
 _log = logging.getLogger("vislam.data")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.errors import DataError
-from vislam.types import Array, IntArray
+from vislam.base.errors import DataError
+from vislam.base.types import Array, IntArray
 
 _LARGEST_BYTES = 1 << 26
 _LONGEST_LINE = 4096

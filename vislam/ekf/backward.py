@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
 from vislam.ekf.chart import Chart
 from vislam.ekf.linear import Adjoint, Step
@@ -17,7 +18,6 @@ from vislam.ekf.state import Farewell, JointState, PoseRows
 from vislam.estimator import StepRecord
 from vislam.geometry import se3
 from vislam.motion import POSE
-from vislam.types import Array, BoolArray, IntArray
 
 _STRETCH = 16
 """Frames between two states that are kept."""

@@ -16,9 +16,9 @@ from typing import Literal
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.geometry import so3
 from vislam.sensors import StereoRig
-from vislam.types import Array
 
 Coordinates = Literal["point", "disparity"]
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vislam import motion
+from vislam.base.types import Array
 from vislam.data.sequence import Frame
 from vislam.ekf import chart
 from vislam.ekf.layout import LANDMARK
@@ -16,7 +17,6 @@ from vislam.ekf.state import ErrorForm
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.motion import BIAS, NAV, POSE
-from vislam.types import Array
 
 
 class DenseFilter:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam import motion
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
 from vislam.ekf import backward, chart
 from vislam.ekf.backward import Landmarks, Recorder, Smoothed
@@ -19,7 +20,6 @@ from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, Ste
 from vislam.geometry import se3
 from vislam.motion import BIAS, POSE
 from vislam.sensors import TrackNoise
-from vislam.types import Array, BoolArray, IntArray
 
 _NEAREST = 0.5
 """A landmark predicted nearer than this, or behind the camera, is not fused [m]."""

@@ -17,10 +17,10 @@ import numpy as np
 from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf, dpotri
 
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.ekf.layout import LANDMARK, NAV
-from vislam.errors import DivergedError
 from vislam.motion import POSE
-from vislam.types import Array, BoolArray, IntArray
 
 
 @dataclass

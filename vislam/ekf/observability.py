@@ -12,10 +12,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.ekf.layout import NAV
 from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.motion import POSE
-from vislam.types import Array
 
 
 class Unobservable:

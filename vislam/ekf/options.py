@@ -4,9 +4,9 @@ from typing import Literal
 
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT, Positive
 from vislam.ekf.chart import Coordinates
 from vislam.ekf.state import ErrorForm
-from vislam.fields import STRICT, Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -5,13 +5,13 @@ from typing import Literal
 
 import numpy as np
 
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.ekf.chart import Chart
 from vislam.ekf.layout import LANDMARK, NAV
 from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
-from vislam.errors import DivergedError
 from vislam.geometry import se3
 from vislam.motion import POSE
-from vislam.types import Array, BoolArray, IntArray
 
 ErrorForm = Literal["standard", "first_estimates", "invariant"]
 

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.evaluation.association import Matched
 from vislam.geometry import se3, so3
-from vislam.types import Array
 
 AlignmentKind = Literal["none", "first_pose", "yaw_position", "se3", "sim3", "planar"]
 """

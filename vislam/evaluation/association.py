@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
-from vislam.types import Array, IntArray
 
 
 @dataclass(frozen=True)

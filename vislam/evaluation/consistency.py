@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, t
 
+from vislam.base.types import Array
 from vislam.geometry import se3
 from vislam.run import Run
-from vislam.types import Array
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "position": slice(3, 6)}
 """Parts of a pose error (omega, v) that have a NEES of their own."""

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Sequence
 from vislam.sensors import StereoRig
 from vislam.sensors.noise import SHARES
 from vislam.triangulation import triangulate
-from vislam.types import Array, BoolArray, IntArray
 
 FEWEST_VIEWS = 4
 """A track with fewer views than this is neither held out nor scored: two to triangulate, two to predict."""

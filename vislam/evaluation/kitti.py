@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.evaluation.association import Matched
-from vislam.types import Array, IntArray
 
 LENGTHS = tuple(range(100, 900, 100))
 """Lengths of the segments [m]."""

@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import chi2
 
+from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
 from vislam.evaluation.normalised import Normalised, usable, whiten
 from vislam.geometry import se3
 from vislam.run import Run
-from vislam.types import Array, IntArray
 
 NEAR = 0.5
 """A landmark within this distance of the true one counts as found [m] ..."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
 from vislam.evaluation.normalised import MULTIPLES
@@ -12,7 +13,6 @@ from vislam.evaluation.scores import PairScores, RunScores
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
 from vislam.geometry import se3
 from vislam.run import Run
-from vislam.types import Array
 
 _SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
 _YAW = 2

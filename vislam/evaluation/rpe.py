@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import Matched
 from vislam.evaluation.trajectory import Statistics
 from vislam.geometry import se3, so3
-from vislam.types import Array, IntArray
 
 _TOLERANCE = 0.1
 """How far from the wanted length a segment may be, as a share of it."""

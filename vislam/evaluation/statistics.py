@@ -11,7 +11,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import chi2
 
-from vislam.types import Array, IntArray
+from vislam.base.types import Array, IntArray
 
 LAGS = 20
 """Lags [samples] at which a sequence is tested for whiteness."""

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.evaluation.alignment import Alignment, find_alignment
 from vislam.evaluation.association import Matched, distance_along
 from vislam.geometry import so3
-from vislam.types import Array, IntArray
 
 
 @dataclass(frozen=True)

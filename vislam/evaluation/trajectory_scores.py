@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
 from vislam.evaluation.alignment import AlignmentKind, admitted, find_alignment
 from vislam.evaluation.association import Matched, associate
@@ -17,7 +18,6 @@ from vislam.evaluation.rpe import (
     worst_segments,
 )
 from vislam.evaluation.trajectory import AbsoluteErrors, ate, final_drift
-from vislam.types import Array, IntArray
 
 LENGTHS = (5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0)
 """Lengths of segments for relative errors [m]."""

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.optimize import least_squares
 
+from vislam.base.types import Array
 from vislam.evaluation.alignment import align
 from vislam.geometry import so3
-from vislam.types import Array
 
 
 def align_weighted(target: Array, estimate: Array, cov: Array) -> Array:

@@ -5,8 +5,8 @@ The order of tangent vectors is (omega, v); see the package docstring for all co
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.geometry import so3
-from vislam.types import Array
 
 _SMALL_ANGLE = 5e-2
 """Below this angle [rad] the fifth-order coefficient of :func:`left_jacobian` comes from its series."""

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vislam.types import Array
+from vislam.base.types import Array
 
 _SMALL_ANGLE = 1e-3
 """Below this angle [rad] the coefficients come from their series: there the closed forms lose digits."""

@@ -7,10 +7,10 @@ bias cannot be told, and its interval says so.
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean
 from vislam.inspection.motion import VisionSteps
-from vislam.types import Array, BoolArray, IntArray
 
 _AXES = "xyz"
 _BLOCKS = 12

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from vislam import config as configuration
+from vislam.base.types import Array
 from vislam.config import Config
 from vislam.data.sequence import Sequence
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
@@ -17,7 +18,6 @@ from vislam.repair.inertial import Clock, LevelledVelocity
 from vislam.repair.mounting import Baseline
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
-from vislam.types import Array
 from vislam.vision import RigidFit, continuations, rigid_fits
 
 _FEWEST_FRAMES = 20

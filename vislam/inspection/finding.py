@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vislam.types import Array
+from vislam.base.types import Array
 
 Verdict = Literal["ok", "fault", "unclear", "note"]
 

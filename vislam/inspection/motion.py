@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
 from vislam.repair import RepairConfig
-from vislam.types import Array, IntArray
 from vislam.vision import RigidFit
 
 _AXES = "xyz"

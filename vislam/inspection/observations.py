@@ -4,11 +4,11 @@ from itertools import permutations
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
-from vislam.types import Array
 
 _ROWS_DIFFER_PX = 2.0
 _CHANNELS = ("uL", "vL", "uR", "vR")

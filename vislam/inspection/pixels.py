@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
-from vislam.types import Array, BoolArray, IntArray
 from vislam.vision import RigidFit, continuations
 
 _SPANS = (1, 2, 4, 8)

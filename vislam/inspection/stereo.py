@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
-from vislam.types import Array, IntArray
 from vislam.vision import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
 
 _SHORTEST_M = 0.2

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.plausibility import implausible
 from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.tracks import stale_observations
-from vislam.types import Array
 from vislam.vision import FEWEST, continuations
 
 _FEW = 10

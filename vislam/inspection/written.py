@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from vislam import config as configuration
+from vislam.base.legible import one_line
 from vislam.config import Config
 from vislam.data.find import find_path
 from vislam.inspection.finding import Inspection
-from vislam.legible import one_line
 
 _FILES = (
     ("data", "file"),

@@ -8,10 +8,10 @@ starts a new track. A track that never agrees falls to single sightings, which s
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT, Positive
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence
-from vislam.fields import STRICT, Positive
 from vislam.repair.tracks import start_new_tracks
-from vislam.types import Array
 from vislam.vision import continuations, rigid_fits
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT
 from vislam.data.sequence import Sequence
-from vislam.fields import STRICT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

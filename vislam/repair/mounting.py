@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT, Positive
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence
-from vislam.fields import STRICT, Positive
 from vislam.geometry import se3
-from vislam.types import Array
 
 Reading = Literal["stored", "inverse"]
 

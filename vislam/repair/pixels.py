@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT, Positive
 from vislam.data.sequence import Sequence
-from vislam.fields import STRICT, Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

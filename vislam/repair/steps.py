@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 from pydantic import BeforeValidator
 from pydantic.dataclasses import dataclass
 
+from vislam.base.fields import STRICT
 from vislam.data.sequence import Repair, Sequence
-from vislam.fields import STRICT
 from vislam.repair.consensus import Consensus
 from vislam.repair.inertial import Clock, LevelledVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic

@@ -6,10 +6,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
+from vislam.base.legible import literal
 from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
-from vislam.legible import literal
 from vislam.report.shown import COLOURS, Shown
 from vislam.run import Run
 

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from vislam.base.legible import literal
 from vislam.evaluation.evaluate import headline
-from vislam.legible import literal
 from vislam.report.shown import COLOURS, Shown
 
 _WIDTH = 0.8

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from vislam.base.legible import literal
+from vislam.base.types import Array
 from vislam.evaluation.trajectory import distance_driven
-from vislam.legible import literal
 from vislam.report import consistency_figures, error_figures
 from vislam.report.shown import Shown
 from vislam.report.top_view import top_view
-from vislam.types import Array
 
 _SIZE = (7.2, 3.6)
 """Width and height of a figure of one panel [inch]."""

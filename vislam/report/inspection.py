@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vislam.files import replace_whole, write_text
+from vislam.base.files import replace_whole, write_text
+from vislam.base.legible import literal
+from vislam.base.types import Array
 from vislam.inspection import Inspection
-from vislam.legible import literal
-from vislam.types import Array
 
 SCHEMA_VERSION = 1
 Panel = Callable[[Axes, dict[str, Array]], None]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from vislam.base.errors import DataError
+from vislam.base.files import open_regular
 from vislam.command import Parser, answer
-from vislam.errors import DataError
-from vislam.files import open_regular
 
 _ROWS = (
     ("ate_rmse", "ATE, SE(3) aligned [m]", 2),

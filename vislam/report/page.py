@@ -10,12 +10,12 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from vislam.base.files import remove, write_text
+from vislam.base.legible import visible_lines
 from vislam.data import Repair
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.files import remove, write_text
-from vislam.legible import visible_lines
 from vislam.report.figures import FIGURES, Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (

@@ -4,7 +4,7 @@ from importlib.resources import files
 
 from markupsafe import Markup, escape
 
-from vislam.legible import visible
+from vislam.base.legible import visible
 from vislam.report.figures import Drawing
 from vislam.report.shown import COLOURS
 from vislam.report.svg import themed_svg

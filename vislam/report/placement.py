@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.reference import Reference
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.geometry import se3
 from vislam.run import Run
-from vislam.types import Array
 
 _FEWEST = 3
 """Frames in common with the reference without which a run is not aligned."""

@@ -13,16 +13,16 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
+from vislam.base.errors import ConfigError
+from vislam.base.files import replace_whole
+from vislam.base.legible import one_line
+from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
-from vislam.errors import ConfigError
 from vislam.evaluation.trajectory_scores import headline_alignment
-from vislam.files import replace_whole
-from vislam.legible import one_line
 from vislam.record import Record
 from vislam.report.placement import origin, place, principal_axes
 from vislam.report.shown import colours
 from vislam.run import Run
-from vislam.types import Array, IntArray
 
 _SIGMAS = 3.0
 _AXIS_LENGTH = 2.0

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from vislam.base.legible import visible
+from vislam.base.types import Array
 from vislam.geometry import se3
-from vislam.legible import visible
 from vislam.report.shown import Shown
 from vislam.run import Run
-from vislam.types import Array
 
 _MOST_LANDMARKS = 4000
 """Landmarks of a run that are drawn at most."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
 from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
@@ -13,7 +14,6 @@ from vislam.evaluation.scores import RunScores
 from vislam.record import Record
 from vislam.report.placement import reference_T_world
 from vislam.run import Run
-from vislam.types import Array, IntArray
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
 COLOURS = (

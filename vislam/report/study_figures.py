@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vislam.base.types import Array, IntArray
 from vislam.report.figures import Drawing
 from vislam.report.shown import colours
 from vislam.report.study_labels import TIME, errors, metric_label, parameter_label, plain
@@ -13,7 +14,6 @@ from vislam.report.study_maps import heat_map
 from vislam.study.answers import NEES, failure_rate, median, pooled_nees
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials, is_number
-from vislam.types import Array, IntArray
 
 _WIDE = 20.0
 """Ratio of the largest to the smallest positive value from which on an axis is logarithmic."""

@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vislam.base.types import Array
 from vislam.report.study_labels import errors, metric_label, parameter_label, plain
 from vislam.study.answers import median
 from vislam.study.trials import Trials
-from vislam.types import Array
 
 _COLUMNS = 2
 """Panels side by side."""

@@ -8,8 +8,8 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from vislam.errors import first_line
-from vislam.files import write_text
+from vislam.base.errors import first_line
+from vislam.base.files import write_text
 from vislam.report import study_ablation
 from vislam.report.figures import Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part

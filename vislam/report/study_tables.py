@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from vislam.base.types import IntArray
 from vislam.report.study_labels import (
     ERRORS,
     TIME,
@@ -18,7 +19,6 @@ from vislam.report.study_labels import (
 from vislam.report.table import Table
 from vislam.study.answers import failure_rate, mean, median, paired, pooled_coverage, pooled_nees
 from vislam.study.trials import Trials
-from vislam.types import IntArray
 
 
 def failures_table(trials: Trials) -> Table:

@@ -7,11 +7,11 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
+from vislam.base.legible import literal
+from vislam.base.types import Array
 from vislam.geometry import se3
-from vislam.legible import literal
 from vislam.report.shown import Shown
 from vislam.run import Run
-from vislam.types import Array
 
 _WIDTH = 7.2
 """Width of the figure [inch]."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vislam.types import Array, IntArray
+from vislam.base.types import Array, IntArray
 
 SHARES = np.sqrt([1.0, 1.0, 0.5])
 """White noise of (uL, uR, v) in shares of that of a single pixel coordinate: v is the mean of two."""

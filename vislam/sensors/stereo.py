@@ -10,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.geometry import se3
-from vislam.types import Array
 
 CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from a level, forward-looking camera to the body."""

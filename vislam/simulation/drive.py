@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.repair.mounting import axes_rotation
@@ -12,7 +13,6 @@ from vislam.sensors import CAMERA_AXES, StereoRig
 from vislam.simulation.path import BodyPath, DrivePath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks
-from vislam.types import Array
 
 
 @dataclass(frozen=True)

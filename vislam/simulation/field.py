@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.sensors import StereoRig
 from vislam.simulation.settings import SimulationConfig
-from vislam.types import Array, BoolArray, IntArray
 
 NEAREST = 1.5
 """A point nearer than this is out of sight [m]."""

@@ -5,10 +5,10 @@ from typing import Protocol
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.geometry import se3, so3
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.shapes import shape
-from vislam.types import Array
 
 _REAR_AXLE = 1.0
 """Distance of the body frame's origin ahead of the point that moves straight ahead [m]."""

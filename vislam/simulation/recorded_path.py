@@ -4,9 +4,9 @@ import numpy as np
 from scipy.interpolate import make_lsq_spline
 from scipy.spatial.transform import Rotation
 
+from vislam.base.types import Array
 from vislam.geometry import se3
 from vislam.simulation.path import central_twist
-from vislam.types import Array
 
 _DEGREE = 5
 """Degree of the splines; the twist then has three continuous derivatives."""

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vislam.fields import STRICT, NonNegative, Positive, Probability, Vector3
+from vislam.base.fields import STRICT, NonNegative, Positive, Probability, Vector3
 from vislam.repair.mounting import axes_rotation
 
 SigmaVector = tuple[NonNegative, NonNegative, NonNegative]

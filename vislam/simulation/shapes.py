@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.simulation.settings import SimulationConfig
-from vislam.types import Array
 
 _BESSEL_ZERO = 2.404825557695773
 """First zero of the Bessel function J0."""

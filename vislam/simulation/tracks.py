@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
 from vislam.sensors import StereoRig
 from vislam.simulation.field import in_view, landmark_field, pick
 from vislam.simulation.settings import SimulationConfig
-from vislam.types import Array, BoolArray, IntArray
 
 _OUTLIER_PX = 50.0
 _LARGEST_SHARE = 0.9

@@ -7,6 +7,7 @@ import gtsam
 import numpy as np
 from scipy.stats import chi2
 
+from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Frame
 from vislam.sensors import StereoRig
 from vislam.smoother.descent import Budget, Descent, descend
@@ -14,7 +15,6 @@ from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import X
 from vislam.smoother.options import SmootherOptions
 from vislam.smoother.tracks import Track, locate
-from vislam.types import Array, BoolArray
 
 _AT_REST = 1e-6
 """A round that lowers the cost by less than this share of it is the last one."""

@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import gtsam
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.smoother.keys import thresholds
 from vislam.smoother.options import SmootherOptions
-from vislam.types import Array
 
 
 class IndeterminateError(RuntimeError):

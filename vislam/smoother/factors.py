@@ -11,11 +11,11 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.data.sequence import Frame
 from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
 from vislam.smoother.keys import CLOCK, H, V, W, X
 from vislam.smoother.tracks import View
-from vislam.types import Array
 
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""

@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any
 
 from vislam import config
-from vislam.errors import ConfigError
+from vislam.base.errors import ConfigError
 from vislam.estimator import Problem
 from vislam.smoother.incremental import SmootherEstimator
 from vislam.smoother.options import SmootherOptions

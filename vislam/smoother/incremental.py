@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import gtsam
 import numpy as np
 
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Frame
-from vislam.errors import DivergedError
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
 from vislam.smoother import engine
@@ -19,7 +20,6 @@ from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import CLOCK, W, X, is_landmark
 from vislam.smoother.options import SmootherOptions
 from vislam.smoother.tracks import Track, Tracks
-from vislam.types import Array, BoolArray
 
 _log = logging.getLogger("vislam.smoother")
 _NEAREST = 1.0

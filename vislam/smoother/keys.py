@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, H, V, W, X
 
-from vislam.types import Array
+from vislam.base.types import Array
 
 CLOCK: int = C(0)
 _LETTERS = "ijklmnopqrstu"

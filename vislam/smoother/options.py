@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vislam.fields import STRICT, NonNegative, Positive
+from vislam.base.fields import STRICT, NonNegative, Positive
 
 Kernel = Literal["none", "huber", "cauchy", "tukey", "welsch", "geman_mcclure", "dcs"]
 

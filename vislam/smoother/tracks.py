@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Frame
 from vislam.sensors import StereoRig
 from vislam.smoother.keys import landmark
 from vislam.smoother.starting import Start, starts
-from vislam.types import Array, BoolArray
 
 _CHUNK = 512
 """Tracks that are triangulated together."""

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vislam.base.errors import ConfigError
 from vislam.command import Parser, add_override_options, answer, load_config
-from vislam.errors import ConfigError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

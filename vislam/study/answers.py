@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, wilcoxon
 
+from vislam.base.types import IntArray
 from vislam.study.intervals import Estimate, bootstrap, share, student_mean
 from vislam.study.trials import Trials
-from vislam.types import IntArray
 
 NEES = "nees_pose"
 """Statistic that speaks for consistency; it needs a truth, which simulated trials have."""

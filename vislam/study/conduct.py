@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from vislam import config as configuration
+from vislam.base.errors import DivergedError
+from vislam.base.files import folder_name
 from vislam.comparison import provenance
 from vislam.config import LONGEST_NAME, Config, parse
-from vislam.errors import DivergedError
-from vislam.files import folder_name
 from vislam.report.study_ablation import DETAILS, short_table
 from vislam.report.study_labels import ERRORS, TIME, errors
 from vislam.report.study_page import write_study_page

@@ -12,7 +12,7 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.security import Security
 
-from vislam.errors import ConfigError, first_line
+from vislam.base.errors import ConfigError, first_line
 from vislam.identity import code_digest
 
 _LOCAL = {"distributed.worker.profile.enabled": False}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from vislam import config as configuration
-from vislam.errors import DataError, NotWrittenError
-from vislam.files import check_writable, replace_whole
+from vislam.base.errors import DataError, NotWrittenError
+from vislam.base.files import check_writable, replace_whole
 from vislam.identity import code_digest
 from vislam.study import saved
 from vislam.study.points import Trial

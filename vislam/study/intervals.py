@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, t
 
-from vislam.types import Array, IntArray
+from vislam.base.types import Array, IntArray
 
 PROBABILITY = 0.95
 """Probability with which an interval is to hold the truth."""

@@ -5,11 +5,11 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
+from vislam.base.errors import ConfigError, DataError, Interrupted, first_line
+from vislam.base.files import folder_name
 from vislam.comparison import build_estimators
 from vislam.config import Config, parse
 from vislam.data.source import open_dataset
-from vislam.errors import ConfigError, DataError, Interrupted, first_line
-from vislam.files import folder_name
 from vislam.identity import code_digest, combine
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from vislam.fields import STRICT
+from vislam.base.fields import STRICT
 from vislam.study.points import Trial
 
 Result = dict[str, Any]

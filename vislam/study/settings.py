@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vislam.fields import STRICT
+from vislam.base.fields import STRICT
 
 Count = Annotated[int, Field(ge=1)]
 

@@ -5,7 +5,7 @@ import re
 from collections import Counter
 
 from vislam import config as configuration
-from vislam.legible import one_line
+from vislam.base.legible import one_line
 from vislam.study import answers
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials

@@ -12,11 +12,11 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from vislam import config as configuration
+from vislam.base.errors import Interrupted, first_line
 from vislam.comparison import run_comparison
 from vislam.config import Config
 from vislam.data.find import search_path
 from vislam.data.source import open_dataset
-from vislam.errors import Interrupted, first_line
 from vislam.evaluation import evaluate
 from vislam.evaluation.statistics import Statistic
 from vislam.identity import code_digest, inputs_digest

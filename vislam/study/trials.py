@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vislam.types import Array, BoolArray, IntArray
+from vislam.base.types import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)

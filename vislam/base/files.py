@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from vislam.errors import NotWrittenError, first_line
-from vislam.types import Array
+from vislam.base.errors import NotWrittenError, first_line
+from vislam.base.types import Array
 
 PLAIN = "plain"
 """Member of an archive that holds its plain data as JSON."""

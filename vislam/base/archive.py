@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from vislam.data.npy import ArrayError, PackedArray, open_array
-from vislam.errors import DataError, first_line
-from vislam.files import PLAIN
-from vislam.legible import brief
-from vislam.schema import Item, Numbers, Plain, Section, Table
-from vislam.types import BoolArray
+from vislam.base.errors import DataError, first_line
+from vislam.base.files import PLAIN
+from vislam.base.legible import brief
+from vislam.base.npy import ArrayError, PackedArray, open_array
+from vislam.base.schema import Item, Numbers, Plain, Section, Table
+from vislam.base.types import BoolArray
 
 Tree = dict[str, Any]
 
@@ -52,7 +52,7 @@ class _Wrong(Exception):
 
 
 def read_archive(path: Path, table: Table, *, what: str) -> Tree:
-    """Fields of an archive that :func:`vislam.files.save_archive` wrote, checked against a table.
+    """Fields of an archive that :func:`vislam.base.files.save_archive` wrote, checked against a table.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from vislam.legible import one_line, quoted
+from vislam.base.legible import one_line, quoted
 
 DEEPEST = 32
 """Levels of a tree."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from vislam.legible import one_line
+from vislam.base.legible import one_line
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C or SIGTERM, as a shell gives it."""

@@ -1,6 +1,6 @@
 """The words in which a table says what a saved archive must hold: adding a field is one line in the table.
 
-A table maps the dotted path of each field to what it is; :mod:`vislam.archive` holds an archive to it.
+A table maps the dotted path of each field to what it is; :mod:`vislam.base.archive` holds an archive to it.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from vislam.base.types import Array, BoolArray
 from vislam.geometry import so3
-from vislam.types import Array, BoolArray
 
 Count = Annotated[int, Field(ge=0)]
 Level = Annotated[float, Field(ge=0, le=1e30)]
