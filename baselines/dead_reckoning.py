@@ -7,13 +7,14 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from baselines.twist import Integration, step_twist
-from vislam import config, motion
+from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray
 from vislam.config import Six
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
-from vislam.motion import BIAS, POSE
+from vislam.models import odometry as motion
+from vislam.models.odometry import BIAS, POSE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

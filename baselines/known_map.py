@@ -10,13 +10,14 @@ from scipy.stats import chi2
 
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, Sightings, look, pixel_variances
-from vislam import config, motion
+from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
-from vislam.motion import BIAS, NAV, POSE, MotionNoise
+from vislam.models import odometry as motion
+from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise
 
 _OTHER_MAP_PX = 20.0
 """A map half of whose points are farther from the pixels, seen from its own pose, is of other tracks."""

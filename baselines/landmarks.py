@@ -8,7 +8,7 @@ import numpy as np
 from baselines.sightings import Sightings
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 
 @dataclass(frozen=True)

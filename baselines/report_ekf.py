@@ -16,13 +16,14 @@ from scipy.stats import chi2
 from baselines.landmarks import Landmarks, initialise
 from baselines.sightings import NEAREST, pixel_variances
 from baselines.twist import Integration, step_twist
-from vislam import config, motion
+from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3, so3
-from vislam.motion import BIAS, NAV, POSE
+from vislam.models import odometry as motion
+from vislam.models.odometry import BIAS, NAV, POSE
 
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""

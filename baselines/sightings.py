@@ -7,8 +7,8 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.data import Frame
 from vislam.geometry import se3, so3
-from vislam.sensors import StereoRig
-from vislam.sensors.noise import SHARES
+from vislam.models import StereoRig
+from vislam.models.track_noise import SHARES
 
 NEAREST = 0.5
 """A point that would be nearer than this, or behind the camera, is not seen [m]."""

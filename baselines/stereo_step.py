@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from baselines.sightings import NEAREST, Sightings, look
 from vislam.base.types import Array, BoolArray
 from vislam.geometry import se3
-from vislam.sensors import StereoRig, TrackNoise
+from vislam.models import StereoRig, TrackNoise
 from vislam.vision import FEWEST
 
 _FREEDOM = 2.0

@@ -8,12 +8,13 @@ from pydantic.dataclasses import dataclass
 
 from baselines.sightings import SMALLEST_DISPARITY
 from baselines.stereo_step import Prior, StepFit, fit_step
-from vislam import config, motion
+from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data import Frame
 from vislam.estimator import Estimate, Problem, StepRecord
 from vislam.geometry import se3
+from vislam.models import odometry as motion
 from vislam.vision import FEWEST
 
 

@@ -15,8 +15,8 @@ from vislam.base.types import Array
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.estimator import Problem
 from vislam.geometry import se3
-from vislam.motion import MotionNoise
-from vislam.sensors import TrackNoise
+from vislam.models import TrackNoise
+from vislam.models.odometry import MotionNoise
 from vislam.simulation import SimulationConfig, simulate
 
 _PERIOD = 0.1

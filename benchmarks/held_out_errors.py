@@ -12,7 +12,7 @@ from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate, distance_driven
 from vislam.geometry import se3, so3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 _AHEAD = np.array([0.0, 0.0, 20.0])
 """A point in front of the left camera [m]."""

@@ -15,7 +15,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Sequence
 from vislam.estimator import Problem
 from vislam.geometry import se3
-from vislam.motion import MotionNoise
+from vislam.models.odometry import MotionNoise
 from vislam.run import Run
 
 OPTIONS: Mapping[str, Mapping[str, Any]] = {

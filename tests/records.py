@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from vislam.models import CAMERA_AXES, StereoRig
 from vislam.record import Record, Tracks
-from vislam.sensors import CAMERA_AXES, StereoRig
 
 
 def no_tracks():

@@ -24,11 +24,11 @@ from vislam.frozen import FrozenList
 from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.members import Unbuilt, members
-from vislam.motion import MotionNoise
+from vislam.models import TrackNoise, independent_sigma
+from vislam.models.odometry import MotionNoise
 from vislam.record import Record, Tracks
 from vislam.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
-from vislam.sensors import TrackNoise, independent_sigma
 from vislam.terminal import Terminal
 
 _ID_DIGITS = 10

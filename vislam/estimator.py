@@ -8,8 +8,8 @@ from typing import Any, Protocol
 from vislam.base.errors import ConfigError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
-from vislam.motion import MotionNoise
-from vislam.sensors import StereoRig, TrackNoise
+from vislam.models import StereoRig, TrackNoise
+from vislam.models.odometry import MotionNoise
 
 GROUP = "vislam.estimators"
 """Entry-point group under which estimators are found by name."""

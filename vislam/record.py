@@ -33,8 +33,8 @@ from vislam.base.types import Array, IntArray
 from vislam.data.reference import Reference
 from vislam.data.sequence import Repair, Sequence
 from vislam.frozen import FrozenList
+from vislam.models import StereoRig
 from vislam.run import Run
-from vislam.sensors import StereoRig
 
 _WHAT = "the saved record of a drive"
 _TABLE: Table = {

@@ -13,7 +13,7 @@ import numpy as np
 from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3, so3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 MIXING = np.array([[0.5, 0.5, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 """From (uL, uR, v) to (mean column, disparity, row)."""

@@ -13,8 +13,8 @@ from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import Dataset
 from vislam.geometry import se3
+from vislam.models.triangulation import triangulate
 from vislam.run import Run
-from vislam.triangulation import triangulate
 
 
 def mapped(config, dataset, *, refused=None, **options):

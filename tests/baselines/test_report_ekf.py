@@ -15,8 +15,8 @@ from vislam.data.source import open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.geometry import se3
 from vislam.loop import run
+from vislam.models import track_noise as noise
 from vislam.run import Run
-from vislam.sensors import noise
 
 MENDED = {
     "jacobian": "derived",

@@ -12,13 +12,14 @@ from baselines.stereo_step import Prior, fit_step, residual_cov
 from tests.conftest import recorded
 from tests.smoother.drives import dark, drive, exact, gap, negative_disparities
 from vislam import config as configuration
-from vislam import loop, motion
+from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import open_dataset
 from vislam.evaluation.trajectory import path_length
 from vislam.evaluation.trajectory_scores import score_trajectory
 from vislam.geometry import se3
-from vislam.sensors import CAMERA_AXES, StereoRig, TrackNoise
+from vislam.models import CAMERA_AXES, StereoRig, TrackNoise
+from vislam.models import odometry as motion
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MOUNTING = se3.from_rotation_translation(CAMERA_AXES, np.array([1.0, 0.1, 0.5]))

@@ -9,12 +9,12 @@ from tests.cli.test_compare import course_file
 from tests.conftest import recorded
 from vislam.data import Sequence, load_course_npz
 from vislam.data.source import Dataset
+from vislam.models import StereoRig
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus, step_residuals
 from vislam.repair.mounting import Axes, Baseline, Extrinsic, axes_rotation
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import Interruptions, StaleTracks, Thinning, stale_observations
-from vislam.sensors import StereoRig
 from vislam.simulation import SimulationConfig, simulate
 
 

@@ -16,11 +16,11 @@ from vislam.ekf.layout import NAV
 from vislam.ekf.linear import Jacobian, Update
 from vislam.ekf.state import JointState
 from vislam.loop import run
-from vislam.motion import BIAS
+from vislam.models import StereoRig
+from vislam.models.odometry import BIAS
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.run import Run
-from vislam.sensors import StereoRig
 from vislam.simulation import SimulationConfig
 
 

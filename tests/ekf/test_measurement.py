@@ -7,7 +7,7 @@ from vislam.ekf import chart
 from vislam.ekf.layout import NAV, OFFSET
 from vislam.ekf.measurement import Camera, up_axis
 from vislam.geometry import se3, so3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 N = 6

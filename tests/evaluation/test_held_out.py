@@ -8,7 +8,7 @@ from tests.conftest import from_first, recorded
 from vislam.data.course_npz import load_course_npz
 from vislam.evaluation.held_out import CAP_PX, FEWEST_VIEWS, HeldOut, hold_out, paired, score
 from vislam.geometry import se3
-from vislam.sensors.noise import SHARES
+from vislam.models.track_noise import SHARES
 from vislam.simulation import SimulationConfig, simulate
 
 SIGMA = 0.3

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from vislam.geometry import se3
-from vislam.motion import MotionNoise, integrate, transition
-from vislam.sensors import StereoRig, TrackNoise, independent_sigma
+from vislam.models import StereoRig, TrackNoise, independent_sigma
+from vislam.models.odometry import MotionNoise, integrate, transition
 
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 NOISE = MotionNoise(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]), np.full(6, 0.01))

@@ -16,11 +16,11 @@ from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.loop import run
+from vislam.models import CAMERA_AXES, StereoRig
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions
 from vislam.run import Run
-from vislam.sensors import CAMERA_AXES, StereoRig
 from vislam.simulation import SimulationConfig
 from vislam.smoother import SmootherEstimator, SmootherOptions, family
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import drive, exact, filtered, member
-from vislam.sensors import noise
+from vislam.models import track_noise as noise
 from vislam.smoother.batch import Drive
 from vislam.smoother.keys import X
 

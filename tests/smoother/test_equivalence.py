@@ -14,7 +14,7 @@ from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import load
 from vislam.data.source import open_dataset
 from vislam.geometry import se3
-from vislam.sensors import noise
+from vislam.models import track_noise as noise
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -10,8 +10,8 @@ from tests.smoother.drives import RIG
 from vislam.data.sequence import Frame
 from vislam.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
 from vislam.geometry import se3
-from vislam.motion import MotionNoise
-from vislam.sensors import TrackNoise
+from vislam.models import TrackNoise
+from vislam.models.odometry import MotionNoise
 from vislam.smoother.factors import _KERNELS, FactorBuilder
 from vislam.smoother.keys import CLOCK, H, V, W, X, landmark
 from vislam.smoother.tracks import View

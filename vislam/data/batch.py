@@ -6,7 +6,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3
-from vislam.sensors import TrackNoise
+from vislam.models import TrackNoise
 
 _HUBER = 1.345
 _PIXEL_SIGMA = 1.0

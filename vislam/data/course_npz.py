@@ -18,7 +18,7 @@ from vislam.base.npy import ArrayError, PackedArray, open_array
 from vislam.base.types import Array, IntArray
 from vislam.data.sequence import Sequence
 from vislam.geometry import se3, so3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 _UNSEEN = -1.0
 _MOST_SMALL_VALUES = 1 << 22

@@ -17,7 +17,7 @@ from vislam.data.reference import Reference
 from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.data.text import read_table
 from vislam.geometry import se3
-from vislam.sensors import CAMERA_AXES, StereoRig
+from vislam.models import CAMERA_AXES, StereoRig
 
 _PERIOD = 0.1037
 """Mean camera period of KITTI odometry 00 [s]; the files number the frames and have no stamps."""

@@ -14,7 +14,7 @@ from vislam.config import STAMPED, ReferenceConfig
 from vislam.data.reference import Reference
 from vislam.data.text import read_table
 from vislam.geometry import se3, so3
-from vislam.sensors import CAMERA_AXES
+from vislam.models import CAMERA_AXES
 
 _log = logging.getLogger("vislam.data")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vislam.base.arrays import immutable
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 _STEP_END = 1e-7
 """How far the samples of a step with constant twist lie inside its ends, as a share of its length."""

@@ -17,7 +17,7 @@ from vislam.ekf.linear import Adjoint, Step
 from vislam.ekf.state import Farewell, JointState, PoseRows
 from vislam.estimator import StepRecord
 from vislam.geometry import se3
-from vislam.motion import POSE
+from vislam.models.odometry import POSE
 
 _STRETCH = 16
 """Frames between two states that are kept."""

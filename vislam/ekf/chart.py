@@ -18,7 +18,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.geometry import so3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 Coordinates = Literal["point", "disparity"]
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vislam import motion
 from vislam.base.types import Array
 from vislam.data.sequence import Frame
 from vislam.ekf import chart
@@ -16,7 +15,8 @@ from vislam.ekf.measurement import Camera
 from vislam.ekf.state import ErrorForm
 from vislam.estimator import Problem
 from vislam.geometry import se3
-from vislam.motion import BIAS, NAV, POSE
+from vislam.models import odometry as motion
+from vislam.models.odometry import BIAS, NAV, POSE
 
 
 class DenseFilter:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from vislam import motion
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Frame
 from vislam.ekf import backward, chart
@@ -18,8 +17,9 @@ from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
 from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
 from vislam.geometry import se3
-from vislam.motion import BIAS, POSE
-from vislam.sensors import TrackNoise
+from vislam.models import TrackNoise
+from vislam.models import odometry as motion
+from vislam.models.odometry import BIAS, POSE
 
 _NEAREST = 0.5
 """A landmark predicted nearer than this, or behind the camera, is not fused [m]."""

@@ -1,6 +1,6 @@
 """Where things stand in the filter's joint state: navigation first, then the landmarks.
 
-Pose and bias are those of :mod:`vislam.motion`; behind them stand parameters that are estimated where their
+Pose and bias are those of :mod:`vislam.models.odometry`; behind them stand parameters that are estimated where their
 prior is not zero, and cost next to nothing where it is.
 """
 
@@ -15,4 +15,4 @@ CLIMB = 16
 NAV = 17
 """Size of the navigation state."""
 LANDMARK = 4
-"""Size of a landmark: three coordinates, and the error of its match (``vislam.sensors.noise``)."""
+"""Size of a landmark: three coordinates, and the error of its match (``vislam.models.track_noise``)."""

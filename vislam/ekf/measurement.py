@@ -17,8 +17,8 @@ from vislam.base.types import Array
 from vislam.ekf.chart import Chart
 from vislam.ekf.layout import LANDMARK, NAV, OFFSET
 from vislam.geometry import se3, so3
-from vislam.motion import POSE
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
+from vislam.models.odometry import POSE
 
 _FARTHEST = 1e-9
 """Smallest w that a depth is taken of: what is farther, or beyond infinity, is very far."""

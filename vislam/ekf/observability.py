@@ -15,7 +15,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.ekf.layout import NAV
 from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
-from vislam.motion import POSE
+from vislam.models.odometry import POSE
 
 
 class Unobservable:

@@ -11,7 +11,7 @@ from vislam.ekf.chart import Chart
 from vislam.ekf.layout import LANDMARK, NAV
 from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.geometry import se3
-from vislam.motion import POSE
+from vislam.models.odometry import POSE
 
 ErrorForm = Literal["standard", "first_estimates", "invariant"]
 

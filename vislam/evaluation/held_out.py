@@ -18,9 +18,9 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.data.sequence import Sequence
-from vislam.sensors import StereoRig
-from vislam.sensors.noise import SHARES
-from vislam.triangulation import triangulate
+from vislam.models import StereoRig
+from vislam.models.track_noise import SHARES
+from vislam.models.triangulation import triangulate
 
 FEWEST_VIEWS = 4
 """A track with fewer views than this is neither held out nor scored: two to triangulate, two to predict."""

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 from vislam.simulation.settings import SimulationConfig
 
 NEAREST = 1.5

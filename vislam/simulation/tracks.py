@@ -7,7 +7,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 from vislam.simulation.field import in_view, landmark_field, pick
 from vislam.simulation.settings import SimulationConfig
 

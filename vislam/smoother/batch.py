@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Frame
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 from vislam.smoother.descent import Budget, Descent, descend
 from vislam.smoother.factors import FactorBuilder
 from vislam.smoother.keys import X

@@ -9,8 +9,8 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray
 from vislam.geometry import se3
-from vislam.sensors import StereoRig
-from vislam.triangulation import triangulate
+from vislam.models import StereoRig
+from vislam.models.triangulation import triangulate
 
 _WORST_RESIDUAL = 4.0
 """A track with a residual beyond this many standard deviations is not one static point."""

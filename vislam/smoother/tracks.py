@@ -7,7 +7,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray
 from vislam.data.sequence import Frame
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 from vislam.smoother.keys import landmark
 from vislam.smoother.starting import Start, starts
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray
 from vislam.geometry import se3
-from vislam.sensors import StereoRig
+from vislam.models import StereoRig
 
 _NEAREST = 1.0
 """A point nearer to a camera than this cannot have been seen by it [m]."""
