@@ -11,8 +11,8 @@ from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray
 from vislam.config import Six
-from vislam.data import Frame
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.core.sequence import Frame
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, POSE
 

@@ -13,8 +13,8 @@ from baselines.sightings import NEAREST, Sightings, look, pixel_variances
 from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data import Frame
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise

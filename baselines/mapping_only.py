@@ -15,8 +15,8 @@ from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_varianc
 from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray
-from vislam.data import Frame
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.core.sequence import Frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

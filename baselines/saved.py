@@ -6,8 +6,8 @@ import numpy as np
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.types import Array
-from vislam.data import Frame
-from vislam.run import Run
+from vislam.core.run import Run
+from vislam.core.sequence import Frame
 
 _SAME_TIME = 1e-6
 """Stamps that differ by no more are of the same frame [s]."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.data import Frame
+from vislam.core.sequence import Frame
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 from vislam.models.track_noise import SHARES

@@ -2,7 +2,7 @@
 
 A track is triangulated in the earlier frame and seen from the later. Each residual has a covariance of its
 own: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
-the point at a wrong depth and comes again in the later disparity. :func:`vislam.vision.fit_rigid`, by which
+the point at a wrong depth and comes again in the later disparity. :func:`vislam.core.rigid_fit.fit_rigid`, by which
 the repairs vote, knows none of these: its spread depends on the disparity alone, and its scale is fitted.
 """
 
@@ -13,9 +13,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from baselines.sightings import NEAREST, Sightings, look
 from vislam.base.types import Array, BoolArray
+from vislam.core.rigid_fit import FEWEST
 from vislam.geometry import se3
 from vislam.models import StereoRig, TrackNoise
-from vislam.vision import FEWEST
 
 _FREEDOM = 2.0
 """Degrees of freedom of the Student distribution that residuals of recorded tracks have."""

@@ -11,11 +11,11 @@ from baselines.stereo_step import Prior, StepFit, fit_step
 from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data import Frame
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.core.rigid_fit import FEWEST
+from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.models import odometry as motion
-from vislam.vision import FEWEST
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -3,7 +3,7 @@
 from typing import Literal
 
 from vislam.base.types import Array
-from vislam.data import Frame
+from vislam.core.sequence import Frame
 
 Integration = Literal["mean", "first"]
 """``mean``: the mean over the step. ``first``: the value at its start, as in the report's eq. (23)."""

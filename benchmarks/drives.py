@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence, piecewise_constant
-from vislam.estimator import Problem
+from vislam.core.estimator import Problem
+from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.odometry import MotionNoise

@@ -7,7 +7,7 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate, distance_driven

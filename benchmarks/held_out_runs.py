@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.timing import Drive
-from vislam import estimator, loop
+from vislam import loop
 from vislam.base.types import Array, BoolArray
-from vislam.data.sequence import Sequence
-from vislam.estimator import Problem
+from vislam.core import estimator
+from vislam.core.estimator import Problem
+from vislam.core.run import Run
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 from vislam.models.odometry import MotionNoise
-from vislam.run import Run
 
 OPTIONS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {"robust": "student"},

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vislam.base.types import Array
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.geometry import se3
 from vislam.report.placement import reference_T_world
-from vislam.run import Run
 
 _MARGIN = 0.2
 """Room around the reference, as a share of its length."""

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import Drive
 from vislam.base.types import Array
-from vislam.estimator import Estimate
+from vislam.core.estimator import Estimate
 from vislam.smoother import SmootherEstimator, SmootherOptions, engine
 
 

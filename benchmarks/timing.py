@@ -15,9 +15,9 @@ from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.likelihood import first_frames
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
+from vislam.core.estimator import Problem
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.estimator import Problem
 
 MEMBERS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.MEMBERS[name]) for name in ("ekf", "eks")}
 """The members that are timed: the standard filter, and the one that takes the most steps back."""

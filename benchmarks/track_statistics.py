@@ -16,10 +16,10 @@ from vislam.base.errors import ConfigError
 from vislam.base.types import Array, IntArray
 from vislam.command import answer
 from vislam.config import Config, DataConfig
-from vislam.data import sequence as data
+from vislam.core import sequence as data
+from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.data.source import open_dataset
 from vislam.terminal import Terminal
-from vislam.vision import continuations, rigid_fits
 
 _UNITS = ("mean column [px]", "disparity [px]", "row [px]")
 

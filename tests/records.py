@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from vislam.core.record import Record, Tracks
 from vislam.models import CAMERA_AXES, StereoRig
-from vislam.record import Record, Tracks
 
 
 def no_tracks():

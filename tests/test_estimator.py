@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vislam import loop
+from vislam.core.estimator import Estimate, StepRecord
 from vislam.data.source import Dataset
-from vislam.estimator import Estimate, StepRecord
 
 
 class Scripted:

@@ -9,15 +9,15 @@ import pytest
 
 from tests.cli.test_compare import TINY, config_file
 from tests.test_estimator import Scripted, everything
-from vislam import estimator
 from vislam.base.errors import ConfigError, DivergedError
 from vislam.compare import main
 from vislam.comparison import compare, make_problem, pixel_sigma
 from vislam.config import Config, HeldOutConfig
+from vislam.core import estimator
+from vislam.core.observation_set import FrozenList
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator
 from vislam.ekf.options import EkfOptions
-from vislam.frozen import FrozenList
 from vislam.loop import run
 from vislam.members import members
 from vislam.terminal import Terminal

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from vislam import loop
 from vislam.base.errors import Interrupted
+from vislam.core.estimator import Estimate, StepRecord
 from vislam.data.source import Dataset
-from vislam.estimator import Estimate, StepRecord
 
 
 class Sound:

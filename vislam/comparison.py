@@ -16,17 +16,17 @@ from vislam.base.files import check_writable, folder_name
 from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
 from vislam.config import Config
+from vislam.core.estimator import ClimbNoise, Estimator, Problem
+from vislam.core.observation_set import FrozenList
+from vislam.core.record import Record, Tracks
 from vislam.data.find import search_path
 from vislam.data.source import Dataset, open_dataset, require_usable
-from vislam.estimator import ClimbNoise, Estimator, Problem
 from vislam.evaluation.held_out import hold_out
-from vislam.frozen import FrozenList
 from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.members import Unbuilt, members
 from vislam.models import TrackNoise, independent_sigma
 from vislam.models.odometry import MotionNoise
-from vislam.record import Record, Tracks
 from vislam.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.running import Runner
 from vislam.terminal import Terminal

@@ -1,6 +1,6 @@
 """What the loop demands of what an estimator returns; what breaks it ends that run and no other.
 
-The values come back as copies of the shapes and types that a :class:`vislam.run.Run` keeps, so that an
+The values come back as copies of the shapes and types that a :class:`vislam.core.run.Run` keeps, so that an
 estimator may go on using its own arrays.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from vislam.base.errors import ContractError
 from vislam.base.legible import quoted
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Frame
-from vislam.estimator import Estimate, StepRecord
+from vislam.core.estimator import Estimate, StepRecord
+from vislam.core.sequence import Frame
 from vislam.geometry import so3
 
 _ROTATION_TOLERANCE = 1e-4

@@ -11,11 +11,11 @@ import numpy as np
 from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError
 from vislam.config import ReferenceConfig
+from vislam.core.record import Record
+from vislam.core.run import Run
 from vislam.data.reference_files import load_reference
 from vislam.geometry import se3
-from vislam.record import Record
 from vislam.results import Results
-from vislam.run import Run
 
 _KEYS = ("format", "pose_of", "up")
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from vislam.estimator import GROUP
+from vislam.core.estimator import GROUP
 
 _ID_DIGITS = 10
 _SOURCES = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)

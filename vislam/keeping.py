@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Protocol
 
 from vislam.base.errors import DataError
+from vislam.core.run import Run
 from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
-from vislam.run import Run
 
 _log = logging.getLogger("vislam")
 RUNS = "runs"

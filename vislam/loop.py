@@ -16,9 +16,9 @@ from vislam.base.errors import ContractError, Interrupted, first_line
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
 from vislam.contract import checked_estimate, checked_step
-from vislam.data.sequence import Sequence
-from vislam.estimator import Estimate, Estimator, StepRecord
-from vislam.run import Run
+from vislam.core.estimator import Estimate, Estimator, StepRecord
+from vislam.core.run import Run
+from vislam.core.sequence import Sequence
 
 _LONGEST_REASON = 400
 _LONGEST_TRACEBACK = 20_000

@@ -10,11 +10,11 @@ from typing import Any, Literal
 from pydantic.dataclasses import dataclass
 
 from vislam import config as configuration
-from vislam import estimator
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.fields import STRICT
 from vislam.config import Config
-from vislam.estimator import Build, Estimator, Problem
+from vislam.core import estimator
+from vislam.core.estimator import Build, Estimator, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -14,16 +14,16 @@ from vislam.base.files import replace_whole, write_text
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
 from vislam.config import Config
+from vislam.core.record import Record
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
 from vislam.keeping import RUNS
-from vislam.record import Record
 from vislam.report.figures import all_figures
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
-from vislam.run import Run
 from vislam.terminal import Terminal
 
 _log = logging.getLogger("vislam")

@@ -9,12 +9,12 @@ import numpy as np
 from vislam import loop
 from vislam.base.errors import ConfigError, DivergedError, Interrupted
 from vislam.base.types import Array, BoolArray
-from vislam.data.sequence import Sequence
-from vislam.estimator import Estimator
-from vislam.frozen import FrozenList
+from vislam.core.estimator import Estimator
+from vislam.core.observation_set import FrozenList
+from vislam.core.run import Run
+from vislam.core.sequence import Sequence
 from vislam.keeping import Keeper
 from vislam.members import Unbuilt
-from vislam.run import Run
 from vislam.terminal import Terminal
 
 _IDENTITY_DIGITS = 16

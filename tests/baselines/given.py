@@ -3,7 +3,7 @@
 import numpy as np
 
 from vislam import loop
-from vislam.estimator import Estimate, StepRecord
+from vislam.core.estimator import Estimate, StepRecord
 from vislam.geometry import se3
 
 

@@ -11,10 +11,10 @@ from tests.smoother.drives import drive, exact
 from vislam import loop
 from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
+from vislam.core.run import Run
 from vislam.data.source import Dataset
 from vislam.geometry import se3
 from vislam.models.triangulation import triangulate
-from vislam.run import Run
 
 
 def mapped(config, dataset, *, refused=None, **options):

@@ -8,7 +8,7 @@ import pytest
 from vislam.base.errors import DataError, DivergedError
 from vislam.calibration import Calibration, calibrate, parameters
 from vislam.config import Config, DataConfig, NoiseConfig
-from vislam.data.sequence import Sequence, piecewise_constant
+from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator
 from vislam.geometry import se3

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from vislam import compare, evaluate
+from vislam.core.record import Record
+from vislam.core.run import Run
 from vislam.geometry import se3
-from vislam.record import Record
-from vislam.run import Run
 
 ROOT = Path(__file__).parents[2]
 TURN = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

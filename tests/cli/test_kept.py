@@ -13,7 +13,7 @@ import pytest
 
 from vislam import compare, loop
 from vislam.base.errors import Interrupted
-from vislam.run import Run
+from vislam.core.run import Run
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """

@@ -5,9 +5,9 @@ import pytest
 
 from vislam.base.errors import DataError
 from vislam.config import DataConfig, PackagedConfig
+from vislam.core.sequence import piecewise_constant
 from vislam.data import gtsam_stereo
 from vislam.data.batch import batch_poses
-from vislam.data.sequence import piecewise_constant
 from vislam.data.source import open_dataset
 from vislam.data.text import read_table
 from vislam.geometry import se3

@@ -9,6 +9,7 @@ from tests.conftest import from_first
 from vislam.base.errors import DivergedError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig
+from vislam.core.run import Run
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions, chart
 from vislam.ekf.dense import DenseFilter
@@ -20,7 +21,6 @@ from vislam.models import StereoRig
 from vislam.models.odometry import BIAS
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
-from vislam.run import Run
 from vislam.simulation import SimulationConfig
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.conftest import recorded
 from vislam import config
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.data.source import open_dataset
 from vislam.evaluation.association import Matched, associate
 from vislam.geometry import se3

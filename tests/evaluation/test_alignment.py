@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tests.evaluation.conftest import positions_of
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation.alignment import AlignmentKind, align, find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate

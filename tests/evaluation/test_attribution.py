@@ -7,7 +7,7 @@ import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import attribute
 from vislam.evaluation.evaluate import Metric

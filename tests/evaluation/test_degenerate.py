@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
+from vislam.core.observation_set import FrozenList
+from vislam.core.record import Tracks
 from vislam.evaluation import evaluate
 from vislam.evaluation.degenerate import degeneracies
-from vislam.frozen import FrozenList
 from vislam.geometry import se3
-from vislam.record import Tracks
 from vislam.report.table import comparison_table
 from vislam.report.verdict import verdict
 

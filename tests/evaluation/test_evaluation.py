@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.records import made_record
-from vislam.data.reference import Reference, truth_reference
+from vislam.core.record import Tracks
+from vislam.core.reference import Reference, truth_reference
+from vislam.core.run import Run
 from vislam.evaluation import evaluate
 from vislam.evaluation.trajectory import path_length
 from vislam.geometry import se3
-from vislam.record import Tracks
-from vislam.run import Run
 
 
 def circle(frames=400, radius=50.0):

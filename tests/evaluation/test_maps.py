@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run
-from vislam.data.reference import truth_reference
+from vislam.core.reference import truth_reference
 from vislam.evaluation.maps import binned, map_difference, map_errors
 from vislam.geometry import se3
 

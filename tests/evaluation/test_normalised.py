@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.evaluation.test_statistics import decaying
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation.alignment import align
 from vislam.evaluation.consistency import PARTS, nees
 from vislam.evaluation.normalised import (

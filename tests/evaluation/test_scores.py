@@ -9,7 +9,7 @@ import pytest
 
 from vislam.comparison import compare
 from vislam.config import Config
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation import evaluate
 from vislam.results import Results, metrics_document
 from vislam.terminal import Terminal

@@ -9,7 +9,7 @@ import pytest
 
 from tests.evaluation.conftest import positions_of
 from tests.evaluation.test_evaluation import circle, of_truth
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.kitti import kitti_drift

@@ -7,6 +7,7 @@ import pytest
 
 from tests.data.test_plausibility import RIGS, drive
 from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.geometry import se3
 from vislam.inspection import inspect_sequence
 from vislam.inspection.lever_arm import check_lever_arm
@@ -18,7 +19,6 @@ from vislam.repair.mounting import Extrinsic
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import SingleSightings
 from vislam.simulation import SimulationConfig, simulate
-from vislam.vision import continuations, rigid_fits
 
 
 def long_drive(*, seed=1, **changes):

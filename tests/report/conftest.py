@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 
 from vislam.compare import main
+from vislam.core.record import Record
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation, evaluate
-from vislam.record import Record
 from vislam.report.figures import all_figures
 from vislam.report.page import write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.results import Results
-from vislam.run import Run
 
 TINY = Path(__file__).parents[2] / "configs" / "tiny.yaml"
 

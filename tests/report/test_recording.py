@@ -13,9 +13,9 @@ from tests.evaluation.test_evaluation import circle, made_run
 from tests.records import made_record
 from vislam import command, compare, evaluate
 from vislam.base.errors import ConfigError
-from vislam.data.reference import Reference, truth_reference
+from vislam.core.record import Tracks
+from vislam.core.reference import Reference, truth_reference
 from vislam.geometry import se3
-from vislam.record import Tracks
 
 ROOT = Path(__file__).parents[2]
 FRAMES = 40

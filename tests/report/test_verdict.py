@@ -7,9 +7,9 @@ import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
+from vislam.core.record import Tracks
 from vislam.evaluation import evaluate
 from vislam.geometry import se3
-from vislam.record import Tracks
 from vislam.report.verdict import verdict
 
 FRAMES = 300

@@ -10,17 +10,17 @@ from tests.conftest import from_first
 from vislam.base.types import Array
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig, NoiseConfig
-from vislam.data.sequence import Sequence, piecewise_constant
+from vislam.core.estimator import Problem
+from vislam.core.run import Run
+from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset, open_dataset
 from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.loop import run
 from vislam.models import CAMERA_AXES, StereoRig
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions
-from vislam.run import Run
 from vislam.simulation import SimulationConfig
 from vislam.smoother import SmootherEstimator, SmootherOptions, family
 

@@ -7,8 +7,8 @@ from scipy.integrate import quad
 from scipy.stats import chi
 
 from tests.smoother.drives import RIG
-from vislam.data.sequence import Frame
-from vislam.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
+from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
+from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.odometry import MotionNoise

@@ -15,8 +15,8 @@ from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import ROUNDS, Round, maximise
 from vislam.calibration.workers import Workers
 from vislam.config import Config
+from vislam.core.run import Run
 from vislam.data.source import Dataset, require_usable
-from vislam.run import Run
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3

@@ -11,12 +11,12 @@ from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.workers import Workers
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
-from vislam.data.sequence import Sequence
+from vislam.core.run import Run
+from vislam.core.sequence import Sequence
 from vislam.data.source import Dataset
 from vislam.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
-from vislam.run import Run
 
 _OPTIONS = EkfOptions(finished="as_left")
 """The standard filter, without the way back: only innovations are wanted."""

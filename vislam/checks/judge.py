@@ -8,9 +8,9 @@ from vislam.base.errors import ConfigError
 from vislam.checks.saved import Saved
 from vislam.checks.settings import SAVED, Check, refuse_unknown
 from vislam.config import Config
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation
-from vislam.run import Run
 
 
 @dataclass(frozen=True)

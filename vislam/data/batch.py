@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 

@@ -11,7 +11,7 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.base.npy import LARGEST_BYTES
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 
 _UNSEEN = -1.0
 _EPOCH = (1980, 1, 1, 0, 0, 0)

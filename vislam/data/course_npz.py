@@ -16,7 +16,7 @@ from vislam.base.errors import DataError, first_line
 from vislam.base.legible import brief
 from vislam.base.npy import ArrayError, PackedArray, open_array
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
-from vislam.run import Run
+from vislam.core.run import Run
 
 
 def write_tum(path: Path, stamp: Array, world_T_imu: Array) -> None:

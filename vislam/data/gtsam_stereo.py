@@ -12,9 +12,9 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array
+from vislam.core.reference import Reference
+from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.data.batch import batch_poses
-from vislam.data.reference import Reference
-from vislam.data.sequence import Sequence, piecewise_constant
 from vislam.data.text import read_table
 from vislam.geometry import se3
 from vislam.models import CAMERA_AXES, StereoRig

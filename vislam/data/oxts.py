@@ -17,7 +17,7 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.data.text import read_lines, read_table
 
 _COLUMNS = 30

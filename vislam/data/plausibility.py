@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import FEWEST, continuations, fit_rigid
+from vislam.core.sequence import Sequence
 from vislam.geometry import so3
 from vislam.repair.tracks import StaleTracks
-from vislam.vision import FEWEST, continuations, fit_rigid
 
 _PERIOD_S = (1e-4, 10.0)
 _USUAL_PERIOD_S = 0.05

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
 from vislam.config import STAMPED, ReferenceConfig
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.data.text import read_table
 from vislam.geometry import se3, so3
 from vislam.models import CAMERA_AXES

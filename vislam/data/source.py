@@ -9,15 +9,15 @@ import numpy as np
 from vislam import repair
 from vislam.base.errors import DataError
 from vislam.config import DataConfig, InertialConfig, PackagedConfig
+from vislam.core.reference import Reference, truth_reference
+from vislam.core.sequence import Repair, Sequence
 from vislam.data.course_npz import load_course_npz
 from vislam.data.find import find_file, find_path, not_found, search_path
 from vislam.data.gtsam_stereo import load_kitti00
 from vislam.data.oxts import with_oxts
 from vislam.data.plausibility import Implausible, implausible
 from vislam.data.recorded_drive import simulated_drive
-from vislam.data.reference import Reference, truth_reference
 from vislam.data.reference_files import load_reference
-from vislam.data.sequence import Repair, Sequence
 
 _log = logging.getLogger("vislam.data")
 

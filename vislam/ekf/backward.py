@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Frame
+from vislam.core.estimator import StepRecord
+from vislam.core.sequence import Frame
 from vislam.ekf.chart import Chart
 from vislam.ekf.linear import Adjoint, Step
 from vislam.ekf.state import Farewell, JointState, PoseRows
-from vislam.estimator import StepRecord
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 

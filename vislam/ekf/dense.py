@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.sequence import Frame
 from vislam.ekf import chart
 from vislam.ekf.layout import LANDMARK
 from vislam.ekf.measurement import Camera
 from vislam.ekf.state import ErrorForm
-from vislam.estimator import Problem
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE

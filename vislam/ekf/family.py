@@ -5,9 +5,9 @@ from functools import partial
 from typing import Any
 
 from vislam import config
+from vislam.core.estimator import Problem
 from vislam.ekf.filter import EkfEstimator
 from vislam.ekf.options import EkfOptions
-from vislam.estimator import Problem
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {},

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Frame
+from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
+from vislam.core.sequence import Frame
 from vislam.ekf import backward, chart
 from vislam.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
@@ -15,7 +16,6 @@ from vislam.ekf.measurement import Camera, View, up_axis
 from vislam.ekf.observability import Unobservable
 from vislam.ekf.options import EkfOptions
 from vislam.ekf.state import JointState
-from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models import odometry as motion

@@ -20,10 +20,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, IntArray
+from vislam.core.run import Run
 from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import usable, whiten
 from vislam.geometry import se3
-from vislam.run import Run
 
 _STAYS = 10
 """Frames over which runs that have parted must stay so for the most part."""

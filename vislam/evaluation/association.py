@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation.evaluate import Evaluation, headline
-from vislam.run import Run
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import chi2, t
 
 from vislam.base.types import Array
+from vislam.core.run import Run
 from vislam.geometry import se3
-from vislam.run import Run
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "position": slice(3, 6)}
 """Parts of a pose error (omega, v) that have a NEES of their own."""

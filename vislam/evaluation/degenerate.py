@@ -7,9 +7,9 @@ name can well be closest to a reference.
 import numpy as np
 
 from vislam.base.types import Array, IntArray
+from vislam.core.record import Record
+from vislam.core.run import Run
 from vislam.geometry import se3, so3
-from vislam.record import Record
-from vislam.run import Run
 
 _LEAST_SHARE = 0.05
 """Share of the observations below which what was fused is not the data that was given."""

@@ -6,14 +6,14 @@ from itertools import combinations
 
 import numpy as np
 
-from vislam.data.reference import Reference
+from vislam.core.record import Record
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation import metrics
 from vislam.evaluation.maps import Bin
 from vislam.evaluation.metrics import Metric
 from vislam.evaluation.scores import PairScores, RunScores, score_pair, score_run
 from vislam.evaluation.statistics import Statistic
-from vislam.record import Record
-from vislam.run import Run
 
 _FEWEST = 2
 """Poses without which there is nothing to score."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.models import StereoRig
 from vislam.models.track_noise import SHARES
 from vislam.models.triangulation import triangulate

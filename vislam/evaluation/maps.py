@@ -7,10 +7,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation.normalised import Normalised, usable, whiten
 from vislam.geometry import se3
-from vislam.run import Run
 
 NEAR = 0.5
 """A landmark within this distance of the true one counts as found [m] ..."""

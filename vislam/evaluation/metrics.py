@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
+from vislam.core.run import Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
 from vislam.evaluation.normalised import MULTIPLES
 from vislam.evaluation.scores import PairScores, RunScores
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
 from vislam.geometry import se3
-from vislam.run import Run
 
 _SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
 _YAW = 2

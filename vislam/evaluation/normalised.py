@@ -12,13 +12,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation import statistics
 from vislam.evaluation.consistency import PARTS, coverage
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.weighted_alignment import align_weighted
 from vislam.geometry import se3
-from vislam.run import Run
 
 PROBABILITIES = np.linspace(0.0, 1.0, 41)
 """Nominal probabilities of a coverage curve."""

@@ -7,6 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from vislam.base.types import Array, IntArray
+from vislam.core.record import Record, Tracks
+from vislam.core.run import Run
 from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement
 from vislam.evaluation.alignment import find_alignment
@@ -17,8 +19,6 @@ from vislam.evaluation.normalised import Normalised
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.trajectory_scores import TrajectoryScores, score_trajectory
 from vislam.geometry import se3
-from vislam.record import Record, Tracks
-from vislam.run import Run
 
 DEPTHS = np.array([0.0, 10.0, 20.0, 40.0, 80.0, np.inf])
 """Bounds of the depths by which maps are compared [m]."""

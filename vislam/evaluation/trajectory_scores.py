@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
 from vislam.evaluation.alignment import AlignmentKind, admitted, find_alignment
 from vislam.evaluation.association import Matched, associate
 from vislam.evaluation.kitti import KittiDrift, kitti_drift

@@ -8,7 +8,7 @@ bias cannot be told, and its interval says so.
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean
 from vislam.inspection.motion import VisionSteps
 

@@ -8,7 +8,8 @@ import numpy as np
 from vislam import config as configuration
 from vislam.base.types import Array
 from vislam.config import Config
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import RigidFit, continuations, rigid_fits
+from vislam.core.sequence import Sequence
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.lever_arm import check_lever_arm
@@ -18,7 +19,6 @@ from vislam.repair.inertial import Clock, LevelledVelocity
 from vislam.repair.mounting import Baseline
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
-from vislam.vision import RigidFit, continuations, rigid_fits
 
 _FEWEST_FRAMES = 20
 _KEPT = 0.5

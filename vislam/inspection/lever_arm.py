@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import RigidFit
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.inspection.finding import Finding, Measured
 from vislam.inspection.mounting import Candidate, extrinsic_setting, mounted
-from vislam.vision import RigidFit
 
 _CHECK = "lever arm"
 _BLOCKS = 12

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import RigidFit
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
 from vislam.repair import RepairConfig
-from vislam.vision import RigidFit
 
 _AXES = "xyz"
 _LAGS_S = np.arange(-0.2, 0.2001, 0.005)

@@ -6,12 +6,12 @@ from itertools import permutations, product
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import continuations, inertial_steps
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.mounting import Axes, Extrinsic, Reading, axes_rotation
-from vislam.vision import continuations, inertial_steps
 
 _CHECK = "axes and extrinsic"
 _PAIRS = 12_000

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import RigidFit, continuations
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
-from vislam.vision import RigidFit, continuations
 
 _SPANS = (1, 2, 4, 8)
 _FEW, _MANY = 0.02, 0.15

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
+from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
-from vislam.vision import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
 
 _SHORTEST_M = 0.2
 """A step below this says nothing about scale."""

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from vislam.base.types import Array
+from vislam.core.rigid_fit import FEWEST, continuations
+from vislam.core.sequence import Sequence
 from vislam.data.plausibility import implausible
-from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.tracks import stale_observations
-from vislam.vision import FEWEST, continuations
 
 _FEW = 10
 """A frame with fewer tracks says little about its motion."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vislam.core.sequence import Sequence
 from vislam.data.plausibility import (
     DEGREES,
     Ratios,
@@ -14,7 +15,6 @@ from vislam.data.plausibility import (
     turn_guess,
     turn_text,
 )
-from vislam.data.sequence import Sequence
 from vislam.inspection.finding import Finding
 
 _OFF = 1.5

@@ -10,9 +10,9 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.rigid_fit import continuations, rigid_fits
+from vislam.core.sequence import Sequence
 from vislam.repair.tracks import start_new_tracks
-from vislam.vision import continuations, rigid_fits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

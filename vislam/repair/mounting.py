@@ -8,7 +8,7 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 
 Reading = Literal["stored", "inverse"]

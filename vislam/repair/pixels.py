@@ -6,7 +6,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, Positive
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

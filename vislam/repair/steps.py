@@ -7,7 +7,7 @@ from pydantic import BeforeValidator
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
-from vislam.data.sequence import Repair, Sequence
+from vislam.core.sequence import Repair, Sequence
 from vislam.repair.consensus import Consensus
 from vislam.repair.inertial import Clock, LevelledVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic

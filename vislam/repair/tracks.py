@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
 from vislam.base.types import BoolArray, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 
 MOST = 0.5
 """A frame is stale when more than this share of the tracks that continue into it repeat their pixels."""

@@ -7,11 +7,11 @@ from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
 from vislam.base.legible import literal
+from vislam.core.run import Run
 from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
 from vislam.report.shown import COLOURS, Shown
-from vislam.run import Run
 
 _MAIN = ("nees_pose", "nees_position_planar")
 """Statistics of which the first that a run has is drawn over time."""

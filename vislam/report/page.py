@@ -12,8 +12,9 @@ from plotly.offline import get_plotlyjs
 
 from vislam.base.files import remove, write_text
 from vislam.base.legible import visible_lines
-from vislam.data import Repair
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
+from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.report.figures import FIGURES, Drawing
@@ -28,7 +29,6 @@ from vislam.report.page_tables import (
 )
 from vislam.report.table import Table, comparison_table
 from vislam.report.verdict import verdict
-from vislam.run import Run
 
 
 def write_page(

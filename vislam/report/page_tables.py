@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from vislam.data import Repair
+from vislam.core.run import Run
+from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.trajectory_scores import WORST_LENGTH
 from vislam.report.table import Table
-from vislam.run import Run
 
 
 def rungs_table(rungs: Sequence[Rung]) -> Table:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.geometry import se3
-from vislam.run import Run
 
 _FEWEST = 3
 """Frames in common with the reference without which a run is not aligned."""

@@ -17,12 +17,12 @@ from vislam.base.errors import ConfigError
 from vislam.base.files import replace_whole
 from vislam.base.legible import one_line
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
+from vislam.core.record import Record
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation.trajectory_scores import headline_alignment
-from vislam.record import Record
 from vislam.report.placement import origin, place, principal_axes
 from vislam.report.shown import colours
-from vislam.run import Run
 
 _SIGMAS = 3.0
 _AXIS_LENGTH = 2.0

@@ -8,9 +8,9 @@ import numpy as np
 
 from vislam.base.legible import visible
 from vislam.base.types import Array
+from vislam.core.run import Run
 from vislam.geometry import se3
 from vislam.report.shown import Shown
-from vislam.run import Run
 
 _MOST_LANDMARKS = 4000
 """Landmarks of a run that are drawn at most."""

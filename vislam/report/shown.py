@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
+from vislam.core.record import Record
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.scores import RunScores
-from vislam.record import Record
 from vislam.report.placement import reference_T_world
-from vislam.run import Run
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
 COLOURS = (

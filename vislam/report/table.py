@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation
-from vislam.run import Run
 
 _ROWS = (
     ("ate_rmse", "ATE, SE(3) aligned", "m", 2),

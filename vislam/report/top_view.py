@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from vislam.base.legible import literal
 from vislam.base.types import Array
+from vislam.core.run import Run
 from vislam.geometry import se3
 from vislam.report.shown import Shown
-from vislam.run import Run
 
 _WIDTH = 7.2
 """Width of the figure [inch]."""

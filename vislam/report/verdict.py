@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from vislam.data.reference import Reference
+from vislam.core.reference import Reference
+from vislam.core.run import Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.evaluate import headline
 from vislam.evaluation.scores import RunScores
 from vislam.evaluation.statistics import Statistic
-from vislam.run import Run
 
 _SURE = 0.05
 """p-value under which a difference is more than luck."""

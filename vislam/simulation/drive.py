@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Sequence, piecewise_constant
+from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.models import CAMERA_AXES, StereoRig
 from vislam.repair.mounting import axes_rotation

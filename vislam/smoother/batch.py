@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray
-from vislam.data.sequence import Frame
+from vislam.core.sequence import Frame
 from vislam.models import StereoRig
 from vislam.smoother.descent import Budget, Descent, descend
 from vislam.smoother.factors import FactorBuilder

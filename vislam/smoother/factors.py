@@ -12,8 +12,8 @@ import gtsam_unstable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.data.sequence import Frame
-from vislam.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.sequence import Frame
 from vislam.smoother.keys import CLOCK, H, V, W, X
 from vislam.smoother.tracks import View
 

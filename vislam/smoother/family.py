@@ -6,7 +6,7 @@ from typing import Any
 
 from vislam import config
 from vislam.base.errors import ConfigError
-from vislam.estimator import Problem
+from vislam.core.estimator import Problem
 from vislam.smoother.incremental import SmootherEstimator
 from vislam.smoother.options import SmootherOptions
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray
-from vislam.data.sequence import Frame
-from vislam.estimator import Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.smoother import engine
 from vislam.smoother.batch import Drive, only

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.data.sequence import Frame
+from vislam.core.sequence import Frame
 from vislam.models import StereoRig
 from vislam.smoother.keys import landmark
 from vislam.smoother.starting import Start, starts

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.data.sequence import Sequence
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 

@@ -30,11 +30,11 @@ from vislam.base.schema import (
     whole,
 )
 from vislam.base.types import Array, IntArray
-from vislam.data.reference import Reference
-from vislam.data.sequence import Repair, Sequence
-from vislam.frozen import FrozenList
+from vislam.core.observation_set import FrozenList
+from vislam.core.reference import Reference
+from vislam.core.run import Run
+from vislam.core.sequence import Repair, Sequence
 from vislam.models import StereoRig
-from vislam.run import Run
 
 _WHAT = "the saved record of a drive"
 _TABLE: Table = {

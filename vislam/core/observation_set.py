@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import BoolArray
-from vislam.data import sequence as data
-from vislam.run import Run
+from vislam.core import sequence as data
+from vislam.core.run import Run
 
 _DIGITS = 12
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from vislam.base.errors import ConfigError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.data.sequence import Frame
+from vislam.core.sequence import Frame
 from vislam.models import StereoRig, TrackNoise
 from vislam.models.odometry import MotionNoise
 
