@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from vislam import identity
 from vislam.comparison import identify, result_id
 from vislam.config import Config, DataConfig
-from vislam.data.find import search_path
 from vislam.data.source import Dataset
+from vislam.datasets.find import search_path
 from vislam.identity import code_digest, inputs_digest
 from vislam.simulation import SimulationConfig
 

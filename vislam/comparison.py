@@ -19,8 +19,8 @@ from vislam.config import Config
 from vislam.core.estimator import ClimbNoise, Estimator, Problem
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
-from vislam.data.find import search_path
 from vislam.data.source import Dataset, open_dataset, require_usable
+from vislam.datasets.find import search_path
 from vislam.evaluation.held_out import hold_out
 from vislam.identity import code_digest, inputs_digest
 from vislam.keeping import FolderKeeper, Keeper, NoKeeper

@@ -13,7 +13,7 @@ from vislam.base.errors import ConfigError, DataError
 from vislam.config import ReferenceConfig
 from vislam.core.record import Record
 from vislam.core.run import Run
-from vislam.data.reference_files import load_reference
+from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 from vislam.results import Results
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from vislam.base.errors import DataError
 from vislam.command import Parser, answer
-from vislam.data import download
+from vislam.datasets import download
 from vislam.terminal import Terminal
 
 _DAY = 86400.0

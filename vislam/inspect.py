@@ -34,8 +34,8 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam import config as configuration  # noqa: PLC0415
     from vislam.base.errors import ConfigError, DataError  # noqa: PLC0415
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
-    from vislam.data.find import search_path  # noqa: PLC0415
     from vislam.data.source import open_dataset  # noqa: PLC0415
+    from vislam.datasets.find import search_path  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
@@ -85,7 +85,7 @@ def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     """Config of a bare file: nothing repaired, so that every trap is found."""
     from vislam.base.errors import DataError  # noqa: PLC0415
     from vislam.config import LONGEST_NAME  # noqa: PLC0415
-    from vislam.data.find import find_file, not_found, search_path  # noqa: PLC0415
+    from vislam.datasets.find import find_file, not_found, search_path  # noqa: PLC0415
 
     # Beside --data-dir a file is where the command line says; a bare name is looked for as a config's is.
     folders = [*([] if data_dir is None else [data_dir]), Path(), *search_path(data_dir)]

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from vislam.base.errors import DataError
 from vislam.core.run import Run
-from vislam.data.export import write_kitti, write_npz, write_ply, write_tum
+from vislam.datasets.export import write_kitti, write_npz, write_ply, write_tum
 
 _log = logging.getLogger("vislam")
 RUNS = "runs"

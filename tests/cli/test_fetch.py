@@ -17,10 +17,10 @@ import pytest
 from tests.conftest import recorded
 from vislam.base.errors import DataError
 from vislam.config import DataConfig
-from vislam.data import download
-from vislam.data.download import RECORDINGS, Recording, RemoteFile, cache_folder
-from vislam.data.find import find_file, search_path
 from vislam.data.source import open_dataset
+from vislam.datasets import download
+from vislam.datasets.download import RECORDINGS, Recording, RemoteFile, cache_folder
+from vislam.datasets.find import find_file, search_path
 from vislam.fetch import main
 
 ROOT = Path(__file__).parents[2]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vislam import config as configuration
-from vislam.data.course_npz import load_course_npz
-from vislam.data.reference_files import load_reference
+from vislam.datasets.course_npz import load_course_npz
+from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 from vislam.simulate import main
 from vislam.simulation import simulate
@@ -119,7 +119,7 @@ def test_neither_file_is_left_if_writing_breaks_off(tmp_path, monkeypatch):
     def fail(*_):
         raise RuntimeError("disk full")
 
-    monkeypatch.setattr("vislam.data.export.write_tum", fail)
+    monkeypatch.setattr("vislam.datasets.export.write_tum", fail)
     config = written(tmp_path / "c.yaml")
     with pytest.raises(RuntimeError, match="disk full"):
         main(["--config", config, "--out", str(tmp_path / "drive.npz")])

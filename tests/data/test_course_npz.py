@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.test_compare import course_file
 from tests.conftest import recorded
-from vislam.data import load_course_npz
+from vislam.datasets.course_npz import load_course_npz
 
 EXTRINSIC = np.array([[0, 0, 1.0, 2.0], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])
 

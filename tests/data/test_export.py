@@ -5,8 +5,8 @@ import pytest
 
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ReferenceConfig
-from vislam.data.export import write_kitti, write_npz, write_tum
-from vislam.data.reference_files import load_reference
+from vislam.datasets.export import write_kitti, write_npz, write_tum
+from vislam.datasets.trajectories import load_reference
 from vislam.ekf import build
 from vislam.geometry import se3
 from vislam.loop import run

@@ -15,9 +15,10 @@ from vislam import repair
 from vislam.base.errors import DataError
 from vislam.compare import main
 from vislam.config import ReferenceConfig
-from vislam.data import course_npz, load_course_npz
-from vislam.data.oxts import with_oxts
-from vislam.data.reference_files import load_reference
+from vislam.datasets import course_npz
+from vislam.datasets.course_npz import load_course_npz
+from vislam.datasets.oxts import with_oxts
+from vislam.datasets.trajectories import load_reference
 
 MOST_MEMORY = 40e6
 KEYS = ("time_stamps", "features", "linear_velocity", "angular_velocity", "K", "b", "imu_T_cam")

@@ -6,10 +6,10 @@ import pytest
 from vislam.base.errors import DataError
 from vislam.config import DataConfig, PackagedConfig
 from vislam.core.sequence import piecewise_constant
-from vislam.data import gtsam_stereo
-from vislam.data.batch import batch_poses
 from vislam.data.source import open_dataset
-from vislam.data.text import read_table
+from vislam.datasets import kitti00 as gtsam_stereo
+from vislam.datasets.kitti00_batch import batch_poses
+from vislam.datasets.text import read_table
 from vislam.geometry import se3
 from vislam.repair.pixels import Disparity
 from vislam.simulation import SimulationConfig, simulate

@@ -9,8 +9,8 @@ import pytest
 from tests.cli.test_compare import course_file
 from vislam.base.errors import DataError
 from vislam.config import DataConfig, InertialConfig
-from vislam.data.oxts import read_timestamps, with_oxts
 from vislam.data.source import open_dataset
+from vislam.datasets.oxts import read_timestamps, with_oxts
 from vislam.geometry import se3
 from vislam.repair.inertial import LevelledVelocity
 from vislam.simulation import SimulationConfig, simulate

@@ -13,9 +13,9 @@ from vislam.calibration import calibrate
 from vislam.compare import main
 from vislam.comparison import run_comparison
 from vislam.config import Config, DataConfig
-from vislam.data.course_export import write_course_npz
 from vislam.data.plausibility import implausible, motion_ratios
 from vislam.data.source import Dataset, open_dataset, require_usable
+from vislam.datasets.course_export import write_course_npz
 from vislam.geometry import se3
 from vislam.repair import RepairConfig, apply
 from vislam.repair.mounting import Baseline

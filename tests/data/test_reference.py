@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.config import ReferenceConfig
-from vislam.data.reference_files import load_reference
+from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 
 MOUNTED = se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.conftest import from_first, recorded
-from vislam.data.course_npz import load_course_npz
+from vislam.datasets.course_npz import load_course_npz
 from vislam.evaluation.held_out import CAP_PX, FEWEST_VIEWS, HeldOut, hold_out, paired, score
 from vislam.geometry import se3
 from vislam.models.track_noise import SHARES

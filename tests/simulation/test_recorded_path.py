@@ -12,8 +12,8 @@ from tests.conftest import recorded
 from vislam.base.errors import ConfigError, DataError
 from vislam.config import Config, DataConfig
 from vislam.data.recorded_drive import load_recorded_path
-from vislam.data.reference_files import UPRIGHT, read_poses
 from vislam.data.source import open_dataset
+from vislam.datasets.trajectories import UPRIGHT, read_poses
 from vislam.geometry import se3
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.drive import stereo_rig

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.core.sequence import Sequence
-from vislam.data.find import find_file, not_found
-from vislam.data.reference_files import UPRIGHT, read_poses
+from vislam.datasets.find import find_file, not_found
+from vislam.datasets.trajectories import UPRIGHT, read_poses
 from vislam.geometry import se3
 from vislam.simulation import SimulationConfig, Truth, simulate
 from vislam.simulation.drive import stereo_rig

@@ -11,15 +11,15 @@ from vislam.base.errors import DataError
 from vislam.config import DataConfig, InertialConfig, PackagedConfig
 from vislam.core.reference import Reference, truth_reference
 from vislam.core.sequence import Repair, Sequence
-from vislam.data.course_npz import load_course_npz
-from vislam.data.find import find_file, find_path, not_found, search_path
-from vislam.data.gtsam_stereo import load_kitti00
-from vislam.data.oxts import with_oxts
 from vislam.data.plausibility import Implausible, implausible
 from vislam.data.recorded_drive import simulated_drive
-from vislam.data.reference_files import load_reference
+from vislam.datasets.course_npz import load_course_npz
+from vislam.datasets.find import find_file, find_path, not_found, search_path
+from vislam.datasets.kitti00 import load_kitti00
+from vislam.datasets.oxts import with_oxts
+from vislam.datasets.trajectories import load_reference
 
-_log = logging.getLogger("vislam.data")
+_log = logging.getLogger("vislam.datasets")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 from vislam import config as configuration
 from vislam.base.legible import one_line
 from vislam.config import Config
-from vislam.data.find import find_path
+from vislam.datasets.find import find_path
 from vislam.inspection.finding import Inspection
 
 _FILES = (

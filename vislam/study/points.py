@@ -14,7 +14,7 @@ from scipy.stats import qmc
 from vislam import config as configuration
 from vislam.base.errors import ConfigError, first_line
 from vislam.config import Config
-from vislam.data.find import search_path
+from vislam.datasets.find import search_path
 from vislam.identity import inputs_digest
 from vislam.members import members
 from vislam.study.ablation import CASE, Ablation, changes

@@ -15,8 +15,8 @@ from vislam import config as configuration
 from vislam.base.errors import Interrupted, first_line
 from vislam.comparison import run_comparison
 from vislam.config import Config
-from vislam.data.find import search_path
 from vislam.data.source import open_dataset
+from vislam.datasets.find import search_path
 from vislam.evaluation import evaluate
 from vislam.evaluation.statistics import Statistic
 from vislam.identity import code_digest, inputs_digest

@@ -18,7 +18,7 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
 from vislam.core.sequence import Sequence
-from vislam.data.text import read_lines, read_table
+from vislam.datasets.text import read_lines, read_table
 
 _COLUMNS = 30
 _TWIST = [17, 18, 19, 8, 9, 10]

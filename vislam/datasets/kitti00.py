@@ -14,8 +14,8 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence, piecewise_constant
-from vislam.data.batch import batch_poses
-from vislam.data.text import read_table
+from vislam.datasets.kitti00_batch import batch_poses
+from vislam.datasets.text import read_table
 from vislam.geometry import se3
 from vislam.models import CAMERA_AXES, StereoRig
 

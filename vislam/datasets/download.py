@@ -27,7 +27,7 @@ LICENCE = (
     "(Geiger et al. 2013; Liao, Xie and Geiger 2022)"
 )
 
-_log = logging.getLogger("vislam.data")
+_log = logging.getLogger("vislam.datasets")
 _CHUNK = 1 << 16
 _NO_ROOM = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 _GITHUB = "https://raw.githubusercontent.com"

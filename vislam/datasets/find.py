@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from vislam.data.download import cache_folder, recording_with
+from vislam.datasets.download import cache_folder, recording_with
 
 
 def search_path(data_dir: Path | None, *, config_dir: Path | None = None) -> list[Path]:

@@ -12,11 +12,11 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
 from vislam.config import STAMPED, ReferenceConfig
 from vislam.core.reference import Reference
-from vislam.data.text import read_table
+from vislam.datasets.text import read_table
 from vislam.geometry import se3, so3
 from vislam.models import CAMERA_AXES
 
-_log = logging.getLogger("vislam.data")
+_log = logging.getLogger("vislam.datasets")
 
 UPRIGHT = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
 """From camera axes to x forward, y left, z up: planar and height then mean the same for all."""
