@@ -8,8 +8,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.fits import Polynomial
 from benchmarks.timing import Drive, Part, Timed, timed
 from vislam.base.types import Array
-from vislam.ekf import EkfOptions
-from vislam.ekf.dense import DenseFilter
+from vislam.estimators.ekf import EkfOptions
+from vislam.estimators.ekf.dense import DenseFilter
 
 _FEWEST = 8
 """Frames that a fit is made from at least."""

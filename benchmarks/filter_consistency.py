@@ -25,13 +25,13 @@ from baselines import dead_reckoning
 from benchmarks import consistency_figures
 from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
-from vislam import loop
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
 from vislam.config import parse
 from vislam.core import estimator
 from vislam.core.estimator import Problem
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators import loop
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.evaluation.consistency import (
     COMPONENTS,
     PARTS,

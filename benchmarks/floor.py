@@ -21,8 +21,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import MEMBERS, FrameSizes, Part, Timed
 from vislam.base.types import Array
-from vislam.ekf import EkfOptions
-from vislam.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf import EkfOptions
+from vislam.estimators.ekf.layout import LANDMARK, NAV
 
 TARGET = 2.0
 """How much longer than its own linear algebra the filter should take at most."""

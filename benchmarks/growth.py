@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.timing import Drive, Part, milliseconds
 from vislam.base.memory import PeakMemory
 from vislam.config import Config, DataConfig, NoiseConfig
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.timing import Drive
-from vislam import loop
 from vislam.base.types import Array, BoolArray
 from vislam.core import estimator
 from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
+from vislam.estimators import loop
 from vislam.geometry import se3
 from vislam.models.odometry import MotionNoise
 

@@ -12,7 +12,7 @@ from benchmarks.growth import give_back, simulated_config
 from benchmarks.smoothing import smoothed
 from benchmarks.timing import Drive, Part, milliseconds
 from vislam.base.memory import PeakMemory
-from vislam.smoother import SmootherEstimator, SmootherOptions
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions
 
 FRAMES = (1_000, 3_000, 10_000)
 TARGET = 0.5

@@ -4,8 +4,8 @@ from typing import Any
 
 from benchmarks.smoothing import Smoothed, smoothed
 from benchmarks.timing import Drive, Part, milliseconds
-from vislam.smoother import SmootherOptions
-from vislam.smoother.family import MEMBERS
+from vislam.estimators.smoother import SmootherOptions
+from vislam.estimators.smoother.family import MEMBERS
 
 MEAN_TARGET, TOTAL_TARGET = 0.015, 20.0
 """Longest mean step, and longest time of all steps and the final estimate [s]."""

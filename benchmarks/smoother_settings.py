@@ -16,11 +16,11 @@ from benchmarks.smoothing import Smoothed, smoothed
 from benchmarks.timing import Drive, Part, milliseconds
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
+from vislam.estimators.smoother import SmootherOptions
+from vislam.estimators.smoother.family import MEMBERS
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.evaluation.trajectory import ate
-from vislam.smoother import SmootherOptions
-from vislam.smoother.family import MEMBERS
 
 _SHIPPED = SmootherOptions()
 _SCALES = {0.15: 3.0, 0.5: 10.0}

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.timing import Drive
 from vislam.base.types import Array
 from vislam.core.estimator import Estimate
-from vislam.smoother import SmootherEstimator, SmootherOptions, engine
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engine
 
 
 @dataclass

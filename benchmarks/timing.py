@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from vislam import config as configuration
-from vislam import ekf
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.likelihood import first_frames
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
 from vislam.core.estimator import Problem
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators import ekf
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
 
 MEMBERS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.MEMBERS[name]) for name in ("ekf", "eks")}
 """The members that are timed: the standard filter, and the one that takes the most steps back."""

@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.fits import exponent
 from benchmarks.timing import Drive, Part, milliseconds, timed
-from vislam.ekf import EkfOptions
+from vislam.estimators.ekf import EkfOptions
 
 TENTHS = (1, 2, 4, 10)
 """Tenths of the tracks that are kept."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from vislam.ekf import MEMBERS
+from vislam.estimators.ekf import MEMBERS
 
 VARIANTS: Mapping[str, Mapping[str, Any]] = {
     **MEMBERS,

@@ -18,8 +18,8 @@ from vislam import config
 from vislam.base.errors import ConfigError
 from vislam.base.yaml_text import parse_yaml
 from vislam.config import Config
-from vislam.ekf.options import EkfOptions
-from vislam.smoother.options import SmootherOptions
+from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.smoother.options import SmootherOptions
 
 CONFIGS = sorted((Path(__file__).parents[1] / "configs").glob("*.yaml"))
 BASE = """

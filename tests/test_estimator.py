@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vislam import loop
 from vislam.core.estimator import Estimate, StepRecord
 from vislam.data.source import Dataset
+from vislam.estimators import loop
 
 
 class Scripted:

@@ -16,9 +16,9 @@ from vislam.config import Config, HeldOutConfig
 from vislam.core import estimator
 from vislam.core.observation_set import FrozenList
 from vislam.data.source import Dataset
-from vislam.ekf import EkfEstimator
-from vislam.ekf.options import EkfOptions
-from vislam.loop import run
+from vislam.estimators.ekf import EkfEstimator
+from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.loop import run
 from vislam.members import members
 from vislam.terminal import Terminal
 

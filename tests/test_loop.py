@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vislam import loop
 from vislam.base.errors import Interrupted
 from vislam.core.estimator import Estimate, StepRecord
 from vislam.data.source import Dataset
+from vislam.estimators import loop
 
 
 class Sound:

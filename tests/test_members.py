@@ -7,7 +7,7 @@ import numpy as np
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config
 from vislam.data.source import Dataset
-from vislam.loop import run
+from vislam.estimators.loop import run
 from vislam.members import members
 
 

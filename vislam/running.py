@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam import loop
 from vislam.base.errors import ConfigError, DivergedError, Interrupted
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimator
 from vislam.core.observation_set import FrozenList
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
+from vislam.estimators import loop
 from vislam.keeping import Keeper
 from vislam.members import Unbuilt
 from vislam.terminal import Terminal

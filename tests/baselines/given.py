@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vislam import loop
 from vislam.core.estimator import Estimate, StepRecord
+from vislam.estimators import loop
 from vislam.geometry import se3
 
 

@@ -5,11 +5,11 @@ import pytest
 
 from baselines import dead_reckoning
 from baselines.twist import step_twist
-from vislam import loop
 from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem
 from vislam.config import Config
 from vislam.data.source import Dataset
+from vislam.estimators import loop
 from vislam.geometry import se3
 
 

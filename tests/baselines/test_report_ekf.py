@@ -13,9 +13,9 @@ from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.core.run import Run
 from vislam.data.source import open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.loop import run
 from vislam.geometry import se3
-from vislam.loop import run
 from vislam.models import track_noise as noise
 
 MENDED = {

@@ -12,9 +12,9 @@ from baselines.stereo_step import Prior, fit_step, residual_cov
 from tests.conftest import recorded
 from tests.smoother.drives import dark, drive, exact, gap, negative_disparities
 from vislam import config as configuration
-from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.data.source import open_dataset
+from vislam.estimators import loop
 from vislam.evaluation.trajectory import path_length
 from vislam.evaluation.trajectory_scores import score_trajectory
 from vislam.geometry import se3

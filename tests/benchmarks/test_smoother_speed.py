@@ -10,7 +10,7 @@ from benchmarks import smoother_recording, smoother_settings, smoother_speed
 from benchmarks.smoother_speed import PARTS, Bench
 from benchmarks.smoothing import smoothed
 from benchmarks.timing import Drive
-from vislam.smoother import SmootherEstimator, SmootherOptions
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions
 
 
 def test_a_timed_run_is_the_run(short, short_config):

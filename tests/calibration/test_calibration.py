@@ -10,7 +10,7 @@ from vislam.calibration import Calibration, calibrate, parameters
 from vislam.config import Config, DataConfig, NoiseConfig
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset
-from vislam.ekf import EkfEstimator
+from vislam.estimators.ekf import EkfEstimator
 from vislam.geometry import se3
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock

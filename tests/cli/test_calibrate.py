@@ -240,7 +240,7 @@ def test_whatever_ends_it_the_best_so_far_stays(end, rounds, small, monkeypatch,
 
 
 def test_a_filter_that_fails_gives_1_and_leaves_the_old_file(small, monkeypatch, capsys):
-    from vislam.ekf import EkfEstimator
+    from vislam.estimators.ekf import EkfEstimator
 
     def failing(self, frame, refused):
         raise DivergedError("covariance lost, smallest variance -1")

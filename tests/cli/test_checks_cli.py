@@ -53,7 +53,7 @@ def test_checks_that_hold_give_0_and_one_that_does_not_gives_3(capsys):
 
 def test_a_failed_estimator_gives_1_whatever_the_checks(monkeypatch):
     from vislam.base.errors import DivergedError
-    from vislam.ekf import EkfEstimator
+    from vislam.estimators.ekf import EkfEstimator
 
     whole = EkfEstimator.process
 

@@ -85,7 +85,7 @@ def test_too_little_noise_of_the_motion_is_caught(tmp_path):
 
 
 def test_a_sign_error_in_a_jacobian_is_caught(tmp_path, monkeypatch):
-    from vislam.ekf.measurement import View
+    from vislam.estimators.ekf.measurement import View
 
     true = View.jacobians
 

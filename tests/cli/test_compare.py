@@ -160,7 +160,7 @@ def test_a_recorded_file_is_read_and_its_missing_reference_is_said(tmp_path, cap
 
 def test_a_failed_estimator_gives_1_and_keeps_what_it_had_done(tmp_path, capsys, monkeypatch):
     from vislam.base.errors import DivergedError
-    from vislam.ekf import EkfEstimator
+    from vislam.estimators.ekf import EkfEstimator
 
     whole = EkfEstimator.process
 

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vislam import compare, loop
+from vislam import compare
 from vislam.base.errors import Interrupted
 from vislam.core.run import Run
+from vislam.estimators import loop
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """

@@ -7,9 +7,9 @@ from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ReferenceConfig
 from vislam.datasets.export import write_kitti, write_npz, write_tum
 from vislam.datasets.trajectories import load_reference
-from vislam.ekf import build
+from vislam.estimators.ekf import build
+from vislam.estimators.loop import run
 from vislam.geometry import se3
-from vislam.loop import run
 
 
 def read_back(path, form, stamp):

@@ -12,11 +12,11 @@ from vislam.calibration.likelihood import first_frames
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, load
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.ekf.backward import Smoothed
-from vislam.ekf.dense import DenseFilter
-from vislam.ekf.linear import Update
-from vislam.loop import run
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf.backward import Smoothed
+from vislam.estimators.ekf.dense import DenseFilter
+from vislam.estimators.ekf.linear import Update
+from vislam.estimators.loop import run
 
 FORMS = [
     pytest.param({"error": error, "landmarks": landmarks}, id=f"{error}-{landmarks}")

@@ -11,12 +11,12 @@ from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import Config, DataConfig
 from vislam.core.run import Run
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions, chart
-from vislam.ekf.dense import DenseFilter
-from vislam.ekf.layout import NAV
-from vislam.ekf.linear import Jacobian, Update
-from vislam.ekf.state import JointState
-from vislam.loop import run
+from vislam.estimators.ekf import EkfEstimator, EkfOptions, chart
+from vislam.estimators.ekf.dense import DenseFilter
+from vislam.estimators.ekf.layout import NAV
+from vislam.estimators.ekf.linear import Jacobian, Update
+from vislam.estimators.ekf.state import JointState
+from vislam.estimators.loop import run
 from vislam.models import StereoRig
 from vislam.models.odometry import BIAS
 from vislam.repair import RepairConfig

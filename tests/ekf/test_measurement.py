@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vislam.ekf import chart
-from vislam.ekf.layout import NAV, OFFSET
-from vislam.ekf.measurement import Camera, up_axis
+from vislam.estimators.ekf import chart
+from vislam.estimators.ekf.layout import NAV, OFFSET
+from vislam.estimators.ekf.measurement import Camera, up_axis
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 

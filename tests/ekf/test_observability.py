@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from vislam import loop
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.ekf import EkfEstimator, EkfOptions, observability
-from vislam.ekf.linear import Update
-from vislam.ekf.measurement import View
-from vislam.ekf.state import JointState
+from vislam.estimators import loop
+from vislam.estimators.ekf import EkfEstimator, EkfOptions, observability
+from vislam.estimators.ekf.linear import Update
+from vislam.estimators.ekf.measurement import View
+from vislam.estimators.ekf.state import JointState
 
 NOTHING = 1e-9
 """Of what the standard filter gains."""

@@ -13,13 +13,13 @@ from vislam.config import ClimbConfig, Config, DataConfig
 from vislam.core.estimator import find
 from vislam.core.run import Run
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
-from vislam.ekf.layout import CLOCK, NAV, OFFSET, TILT
-from vislam.ekf.linear import Update
-from vislam.ekf.state import JointState
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf.layout import CLOCK, NAV, OFFSET, TILT
+from vislam.estimators.ekf.linear import Update
+from vislam.estimators.ekf.state import JointState
+from vislam.estimators.loop import run
 from vislam.evaluation import evaluate
 from vislam.geometry import se3
-from vislam.loop import run
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import Disparity

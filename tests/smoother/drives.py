@@ -14,15 +14,15 @@ from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.loop import run
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, family
 from vislam.geometry import se3
-from vislam.loop import run
 from vislam.models import CAMERA_AXES, StereoRig
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions
 from vislam.simulation import SimulationConfig
-from vislam.smoother import SmootherEstimator, SmootherOptions, family
 
 BUILD = {
     "isam2": family.build_isam2,

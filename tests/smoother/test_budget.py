@@ -14,10 +14,10 @@ from tests.smoother.drives import BUILD, drive
 from vislam.base.errors import ConfigError, Interrupted
 from vislam.command import interruptible
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.loop import run
-from vislam.smoother import descent
-from vislam.smoother.batch import minimise
-from vislam.smoother.descent import Budget, descend
+from vislam.estimators.loop import run
+from vislam.estimators.smoother import descent
+from vislam.estimators.smoother.batch import minimise
+from vislam.estimators.smoother.descent import Budget, descend
 
 POINT = gtsam.symbol("p", 0)
 ENDLESS = 10**6
@@ -163,6 +163,6 @@ def test_a_budget_of_nothing_is_refused(options, simulated):
 
 
 def test_iterations_are_logged_without_anybody_to_tell(simulated, caplog):
-    with caplog.at_level("INFO", "vislam.smoother"):
+    with caplog.at_level("INFO", "vislam.estimators.smoother"):
         estimated("batch", simulated)
     assert "optimisation (cholesky): iteration 1 of at most 300, cost" in caplog.text

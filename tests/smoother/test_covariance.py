@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import drive, exact, filtered, member
+from vislam.estimators.smoother.batch import Drive
+from vislam.estimators.smoother.keys import X
 from vislam.models import track_noise as noise
-from vislam.smoother.batch import Drive
-from vislam.smoother.keys import X
 
 
 def relative(found, wanted):

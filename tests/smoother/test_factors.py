@@ -9,12 +9,12 @@ from scipy.stats import chi
 from tests.smoother.drives import RIG
 from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
 from vislam.core.sequence import Frame
+from vislam.estimators.smoother.factors import _KERNELS, FactorBuilder
+from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
+from vislam.estimators.smoother.tracks import View
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.odometry import MotionNoise
-from vislam.smoother.factors import _KERNELS, FactorBuilder
-from vislam.smoother.keys import CLOCK, H, V, W, X, landmark
-from vislam.smoother.tracks import View
 
 DENSITY = np.array([1e-3, 2e-3, 3e-3, 0.02, 0.03, 0.04])
 WALK = np.array([1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 3e-3])

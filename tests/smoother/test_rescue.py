@@ -6,9 +6,9 @@ import pytest
 
 from tests.smoother.drives import BUILD, ate, drive
 from vislam.comparison import make_problem, pixel_sigma
-from vislam.loop import run
-from vislam.smoother import engine
-from vislam.smoother.engine import IndeterminateError
+from vislam.estimators.loop import run
+from vislam.estimators.smoother import engine
+from vislam.estimators.smoother.engine import IndeterminateError
 
 FRAMES = 40
 AT = 20

@@ -12,12 +12,12 @@ from vislam.base.errors import ConfigError
 from vislam.comparison import make_problem, pixel_sigma
 from vislam.config import ClimbConfig, Config
 from vislam.data.source import Dataset, open_dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.loop import run
+from vislam.estimators.smoother import engine
+from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.starting import Start, starts
 from vislam.geometry import se3
-from vislam.loop import run
-from vislam.smoother import engine
-from vislam.smoother.keys import X
-from vislam.smoother.starting import Start, starts
 
 
 @pytest.fixture(scope="module")

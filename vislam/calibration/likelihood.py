@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam import loop
 from vislam.base.errors import DataError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.workers import Workers
@@ -14,7 +13,8 @@ from vislam.config import Config
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.data.source import Dataset
-from vislam.ekf import EkfEstimator, EkfOptions
+from vislam.estimators import loop
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 

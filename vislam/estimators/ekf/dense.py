@@ -10,10 +10,10 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.estimator import Problem
 from vislam.core.sequence import Frame
-from vislam.ekf import chart
-from vislam.ekf.layout import LANDMARK
-from vislam.ekf.measurement import Camera
-from vislam.ekf.state import ErrorForm
+from vislam.estimators.ekf import chart
+from vislam.estimators.ekf.layout import LANDMARK
+from vislam.estimators.ekf.measurement import Camera
+from vislam.estimators.ekf.state import ErrorForm
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE

@@ -1,6 +1,6 @@
 """The measurements of the joint state: values and Jacobians of stereo sightings, and of the climb rate.
 
-A landmark is (q, e): three coordinates in a :mod:`chart <vislam.ekf.chart>`, and the share e by which its
+A landmark is (q, e): three coordinates in a :mod:`chart <vislam.estimators.ekf.chart>`, and the share e by which its
 disparity is too large because the right patch follows another point than the left one. With the point
 ``h = (x, y, z, w)`` in the left camera, homogeneous,
 
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.ekf.chart import Chart
-from vislam.ekf.layout import LANDMARK, NAV, OFFSET
+from vislam.estimators.ekf.chart import Chart
+from vislam.estimators.ekf.layout import LANDMARK, NAV, OFFSET
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 from vislam.models.odometry import POSE

@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.layout import LANDMARK, NAV
 from vislam.models.odometry import POSE
 
 

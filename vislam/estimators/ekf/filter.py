@@ -8,14 +8,14 @@ from scipy.stats import chi2
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
-from vislam.ekf import backward, chart
-from vislam.ekf.backward import Landmarks, Recorder, Smoothed
-from vislam.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
-from vislam.ekf.linear import Jacobian, Update
-from vislam.ekf.measurement import Camera, View, up_axis
-from vislam.ekf.observability import Unobservable
-from vislam.ekf.options import EkfOptions
-from vislam.ekf.state import JointState
+from vislam.estimators.ekf import backward, chart
+from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
+from vislam.estimators.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
+from vislam.estimators.ekf.linear import Jacobian, Update
+from vislam.estimators.ekf.measurement import Camera, View, up_axis
+from vislam.estimators.ekf.observability import Unobservable
+from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models import odometry as motion

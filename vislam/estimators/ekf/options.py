@@ -5,8 +5,8 @@ from typing import Literal
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, Positive
-from vislam.ekf.chart import Coordinates
-from vislam.ekf.state import ErrorForm
+from vislam.estimators.ekf.chart import Coordinates
+from vislam.estimators.ekf.state import ErrorForm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -11,17 +11,17 @@ from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
+from vislam.estimators.smoother import engine
+from vislam.estimators.smoother.batch import Drive, only
+from vislam.estimators.smoother.descent import Budget, Tell
+from vislam.estimators.smoother.engine import IndeterminateError
+from vislam.estimators.smoother.factors import FactorBuilder
+from vislam.estimators.smoother.keys import CLOCK, W, X, is_landmark
+from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.tracks import Track, Tracks
 from vislam.geometry import se3
-from vislam.smoother import engine
-from vislam.smoother.batch import Drive, only
-from vislam.smoother.descent import Budget, Tell
-from vislam.smoother.engine import IndeterminateError
-from vislam.smoother.factors import FactorBuilder
-from vislam.smoother.keys import CLOCK, W, X, is_landmark
-from vislam.smoother.options import SmootherOptions
-from vislam.smoother.tracks import Track, Tracks
 
-_log = logging.getLogger("vislam.smoother")
+_log = logging.getLogger("vislam.estimators.smoother")
 _NEAREST = 1.0
 """A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
 _MOST_SUSPECTS = 20

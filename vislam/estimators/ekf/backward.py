@@ -13,9 +13,9 @@ import numpy as np
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.estimator import StepRecord
 from vislam.core.sequence import Frame
-from vislam.ekf.chart import Chart
-from vislam.ekf.linear import Adjoint, Step
-from vislam.ekf.state import Farewell, JointState, PoseRows
+from vislam.estimators.ekf.chart import Chart
+from vislam.estimators.ekf.linear import Adjoint, Step
+from vislam.estimators.ekf.state import Farewell, JointState, PoseRows
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 

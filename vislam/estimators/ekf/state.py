@@ -7,9 +7,9 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.ekf.chart import Chart
-from vislam.ekf.layout import LANDMARK, NAV
-from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.chart import Chart
+from vislam.estimators.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 

@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.smoother.keys import thresholds
-from vislam.smoother.options import SmootherOptions
+from vislam.estimators.smoother.keys import thresholds
+from vislam.estimators.smoother.options import SmootherOptions
 
 
 class IndeterminateError(RuntimeError):

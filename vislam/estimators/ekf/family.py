@@ -6,8 +6,8 @@ from typing import Any
 
 from vislam import config
 from vislam.core.estimator import Problem
-from vislam.ekf.filter import EkfEstimator
-from vislam.ekf.options import EkfOptions
+from vislam.estimators.ekf.filter import EkfEstimator
+from vislam.estimators.ekf.options import EkfOptions
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {},

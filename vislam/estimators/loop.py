@@ -15,10 +15,10 @@ from vislam.base.arrays import immutable
 from vislam.base.errors import ContractError, Interrupted, first_line
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
-from vislam.contract import checked_estimate, checked_step
 from vislam.core.estimator import Estimate, Estimator, StepRecord
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
+from vislam.estimators.contract import checked_estimate, checked_step
 
 _LONGEST_REASON = 400
 _LONGEST_TRACEBACK = 20_000

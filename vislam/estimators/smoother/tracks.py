@@ -7,9 +7,9 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray
 from vislam.core.sequence import Frame
+from vislam.estimators.smoother.keys import landmark
+from vislam.estimators.smoother.starting import Start, starts
 from vislam.models import StereoRig
-from vislam.smoother.keys import landmark
-from vislam.smoother.starting import Start, starts
 
 _CHUNK = 512
 """Tracks that are triangulated together."""

@@ -7,8 +7,8 @@ from typing import Any
 from vislam import config
 from vislam.base.errors import ConfigError
 from vislam.core.estimator import Problem
-from vislam.smoother.incremental import SmootherEstimator
-from vislam.smoother.options import SmootherOptions
+from vislam.estimators.smoother.incremental import SmootherEstimator
+from vislam.estimators.smoother.options import SmootherOptions
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},

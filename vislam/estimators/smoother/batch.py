@@ -9,12 +9,12 @@ from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray
 from vislam.core.sequence import Frame
+from vislam.estimators.smoother.descent import Budget, Descent, descend
+from vislam.estimators.smoother.factors import FactorBuilder
+from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
-from vislam.smoother.descent import Budget, Descent, descend
-from vislam.smoother.factors import FactorBuilder
-from vislam.smoother.keys import X
-from vislam.smoother.options import SmootherOptions
-from vislam.smoother.tracks import Track, locate
 
 _AT_REST = 1e-6
 """A round that lowers the cost by less than this share of it is the last one."""

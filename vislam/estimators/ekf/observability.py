@@ -13,8 +13,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.ekf.layout import NAV
-from vislam.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.layout import NAV
+from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.models.odometry import POSE
 
 

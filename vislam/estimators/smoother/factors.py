@@ -14,8 +14,8 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
 from vislam.core.sequence import Frame
-from vislam.smoother.keys import CLOCK, H, V, W, X
-from vislam.smoother.tracks import View
+from vislam.estimators.smoother.keys import CLOCK, H, V, W, X
+from vislam.estimators.smoother.tracks import View
 
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""

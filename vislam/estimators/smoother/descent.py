@@ -11,7 +11,7 @@ import numpy as np
 
 Tell = Callable[[str], None]
 Solver = Literal["cholesky", "qr"]
-_log = logging.getLogger("vislam.smoother")
+_log = logging.getLogger("vislam.estimators.smoother")
 _CONVERGED = 1e-8
 """An iteration that lowers the cost by less than this share of it is the last of its descent."""
 _NOTHING = 1e-5

@@ -1,0 +1,1 @@
+"""The estimators, the loop that feeds them, and the contract that they keep."""
