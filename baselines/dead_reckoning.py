@@ -7,10 +7,10 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from baselines.twist import Integration, step_twist
-from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray
-from vislam.config import Six
+from vislam.comparison import config
+from vislam.comparison.config import Six
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.models import odometry as motion

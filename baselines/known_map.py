@@ -10,9 +10,9 @@ from scipy.stats import chi2
 
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, Sightings, look, pixel_variances
-from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.geometry import se3

@@ -12,9 +12,9 @@ from baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
 from baselines.landmarks import Landmarks, initialise, update
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
-from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray
+from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 

@@ -16,9 +16,9 @@ from scipy.stats import chi2
 from baselines.landmarks import Landmarks, initialise
 from baselines.sightings import NEAREST, pixel_variances
 from baselines.twist import Integration, step_twist
-from vislam import config
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.geometry import se3, so3

@@ -8,9 +8,9 @@ from pydantic.dataclasses import dataclass
 
 from baselines.sightings import SMALLEST_DISPARITY
 from baselines.stereo_step import Prior, StepFit, fit_step
-from vislam import config
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.rigid_fit import FEWEST
 from vislam.core.sequence import Frame

@@ -27,7 +27,7 @@ from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
-from vislam.config import parse
+from vislam.comparison.config import parse
 from vislam.core import estimator
 from vislam.core.estimator import Problem
 from vislam.estimators import loop

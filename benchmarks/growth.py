@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import Drive, Part, milliseconds
 from vislam.base.memory import PeakMemory
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig

@@ -21,7 +21,7 @@ from benchmarks.timing import Drive, Part
 from vislam.base.errors import DataError
 from vislam.base.files import check_writable, replace_whole
 from vislam.command import answer
-from vislam.config import Config, DataConfig, NoiseConfig, load
+from vislam.comparison.config import Config, DataConfig, NoiseConfig, load
 from vislam.evaluation.held_out import CAP_PX, HeldOut, HeldOutScore, hold_out, paired, score
 from vislam.simulation import SimulationConfig
 from vislam.terminal import Terminal

@@ -12,15 +12,15 @@ from pathlib import Path
 from benchmarks.report_figure import Panel, beside
 from benchmarks.telling import tell
 from benchmarks.timing import Part
-from vislam import config as configuration
 from vislam.base.errors import ConfigError
 from vislam.base.files import check_writable, replace_whole
 from vislam.command import answer
-from vislam.comparison import run_comparison
-from vislam.config import Config
-from vislam.data.source import open_dataset
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import run_comparison
+from vislam.comparison.config import Config
+from vislam.comparison.open import open_dataset
+from vislam.comparison.results import Results
 from vislam.evaluation import Evaluation, evaluate
-from vislam.results import Results
 from vislam.terminal import Terminal
 
 QUOTED_S = 60.0

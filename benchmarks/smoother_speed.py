@@ -19,7 +19,7 @@ from benchmarks.timing import Drive, Part
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.files import check_writable
 from vislam.command import answer
-from vislam.config import Config
+from vislam.comparison.config import Config
 
 _CONFIGS = Path(__file__).parents[1] / "configs"
 

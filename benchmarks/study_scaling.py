@@ -18,11 +18,11 @@ from distributed import Client
 
 from benchmarks.telling import tell
 from benchmarks.timing import Part
-from vislam import config as configuration
 from vislam.base.errors import ConfigError
 from vislam.base.files import check_writable
 from vislam.command import answer
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.conduct import conclude
 from vislam.study.folder import StudyFolder

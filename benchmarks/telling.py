@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_info
 
 from benchmarks.timing import Part
 from vislam.base.files import replace_whole
-from vislam.comparison import provenance
+from vislam.comparison.compare import provenance
 from vislam.terminal import Terminal
 
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.likelihood import first_frames
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import Problem
-from vislam.data.source import Dataset, open_dataset
 from vislam.estimators import ekf
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 

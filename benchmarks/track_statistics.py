@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError
 from vislam.base.types import Array, IntArray
 from vislam.command import answer
-from vislam.config import Config, DataConfig
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.open import open_dataset
 from vislam.core import sequence as data
 from vislam.core.rigid_fit import continuations, rigid_fits
-from vislam.data.source import open_dataset
 from vislam.terminal import Terminal
 
 _UNITS = ("mean column [px]", "disparity [px]", "row [px]")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from vislam.config import Config, DataConfig, NoiseConfig
-from vislam.data.source import Dataset, open_dataset
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.geometry import se3
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError
 from vislam.checks.judge import Checklist
 from vislam.checks.junit import write_junit
 from vislam.checks.saved import Saved
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.evaluation import Evaluation, Metric
 
 VALUES = {

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from baselines.mapping_only import MappingOnlyOptions
 from baselines.report_ekf import ReportEkfOptions
-from vislam import config
 from vislam.base.errors import ConfigError
 from vislam.base.yaml_text import parse_yaml
-from vislam.config import Config
+from vislam.comparison import config
+from vislam.comparison.config import Config
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.smoother.options import SmootherOptions
 

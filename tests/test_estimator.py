@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vislam.comparison.open import Dataset
 from vislam.core.estimator import Estimate, StepRecord
-from vislam.data.source import Dataset
 from vislam.estimators import loop
 
 

@@ -11,15 +11,15 @@ from tests.cli.test_compare import TINY, config_file
 from tests.test_estimator import Scripted, everything
 from vislam.base.errors import ConfigError, DivergedError
 from vislam.compare import main
-from vislam.comparison import compare, make_problem, pixel_sigma
-from vislam.config import Config, HeldOutConfig
+from vislam.comparison.compare import compare, make_problem, pixel_sigma
+from vislam.comparison.config import Config, HeldOutConfig
+from vislam.comparison.members import members
+from vislam.comparison.open import Dataset
 from vislam.core import estimator
 from vislam.core.observation_set import FrozenList
-from vislam.data.source import Dataset
 from vislam.estimators.ekf import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.loop import run
-from vislam.members import members
 from vislam.terminal import Terminal
 
 

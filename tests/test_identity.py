@@ -15,12 +15,12 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vislam import identity
-from vislam.comparison import identify, result_id
-from vislam.config import Config, DataConfig
-from vislam.data.source import Dataset
+from vislam.comparison import identity
+from vislam.comparison.compare import identify, result_id
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.identity import code_digest, inputs_digest
+from vislam.comparison.open import Dataset
 from vislam.datasets.find import search_path
-from vislam.identity import code_digest, inputs_digest
 from vislam.simulation import SimulationConfig
 
 SOURCE = "def build(problem, options):\n    return {speed}\n"

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vislam.base.errors import Interrupted
+from vislam.comparison.open import Dataset
 from vislam.core.estimator import Estimate, StepRecord
-from vislam.data.source import Dataset
 from vislam.estimators import loop
 
 

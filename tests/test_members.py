@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config
-from vislam.data.source import Dataset
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config
+from vislam.comparison.members import members
+from vislam.comparison.open import Dataset
 from vislam.estimators.loop import run
-from vislam.members import members
 
 
 def test_a_section_may_name_its_estimator(short: Dataset, short_config: Config):

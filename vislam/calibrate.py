@@ -48,7 +48,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
     from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
     from vislam.calibration.output import Output  # noqa: PLC0415
-    from vislam.data.source import open_dataset  # noqa: PLC0415
+    from vislam.comparison.open import open_dataset  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     terminal, out = Terminal(), Output(options.out)

@@ -90,7 +90,7 @@ def refuse_bad_check_options(options: argparse.Namespace) -> None:
 
 def load_config(options: argparse.Namespace) -> Any:
     """Load the config that the options name, with their overrides."""
-    from vislam import config as configuration  # noqa: PLC0415
+    from vislam.comparison import config as configuration  # noqa: PLC0415
 
     return configuration.load(options.config, overrides=overrides(options))
 

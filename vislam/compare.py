@@ -42,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam import config as configuration  # noqa: PLC0415
+    from vislam.comparison import config as configuration  # noqa: PLC0415
 
     refuse_bad_check_options(options)
     config = load_config(options)
@@ -53,8 +53,8 @@ def _compare(options: argparse.Namespace) -> int:
     if options.dump_config:
         print(configuration.dump(config), end="")
         return 0
-    from vislam.comparison import compare  # noqa: PLC0415
-    from vislam.results import conclude  # noqa: PLC0415
+    from vislam.comparison.compare import compare  # noqa: PLC0415
+    from vislam.comparison.results import conclude  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     outcome = compare(
@@ -74,7 +74,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:
     """Choose estimators, and say how many checks of others that leaves out."""
-    from vislam import config as configuration  # noqa: PLC0415
+    from vislam.comparison import config as configuration  # noqa: PLC0415
 
     chosen = configuration.with_estimators(config, estimators)
     left_out = len(config.checks) - len(chosen.checks)

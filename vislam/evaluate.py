@@ -41,8 +41,8 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     from vislam.base.files import check_writable  # noqa: PLC0415
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
-    from vislam.external import with_trajectories  # noqa: PLC0415
-    from vislam.results import PLACES, SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
+    from vislam.comparison.imported import with_trajectories  # noqa: PLC0415
+    from vislam.comparison.results import PLACES, SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     refuse_bad_check_options(options)

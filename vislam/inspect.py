@@ -31,10 +31,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _inspect(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam import config as configuration  # noqa: PLC0415
     from vislam.base.errors import ConfigError, DataError  # noqa: PLC0415
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
-    from vislam.data.source import open_dataset  # noqa: PLC0415
+    from vislam.comparison import config as configuration  # noqa: PLC0415
+    from vislam.comparison.open import open_dataset  # noqa: PLC0415
     from vislam.datasets.find import search_path  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
@@ -84,7 +84,7 @@ def _inspect(options: argparse.Namespace) -> int:
 def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     """Config of a bare file: nothing repaired, so that every trap is found."""
     from vislam.base.errors import DataError  # noqa: PLC0415
-    from vislam.config import LONGEST_NAME  # noqa: PLC0415
+    from vislam.comparison.config import LONGEST_NAME  # noqa: PLC0415
     from vislam.datasets.find import find_file, not_found, search_path  # noqa: PLC0415
 
     # Beside --data-dir a file is where the command line says; a bare name is looked for as a config's is.

@@ -41,7 +41,7 @@ def _simulate(options: argparse.Namespace) -> int:
     config = load_config(options)
     from vislam.base.errors import ConfigError  # noqa: PLC0415
     from vislam.base.files import check_writable, replace_whole  # noqa: PLC0415
-    from vislam.data.recorded_drive import simulated_drive  # noqa: PLC0415
+    from vislam.comparison.simulated import simulated_drive  # noqa: PLC0415
     from vislam.datasets.course_export import write_course_npz  # noqa: PLC0415
     from vislam.datasets.export import write_tum  # noqa: PLC0415
     from vislam.datasets.find import search_path  # noqa: PLC0415

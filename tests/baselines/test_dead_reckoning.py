@@ -6,9 +6,9 @@ import pytest
 from baselines import dead_reckoning
 from baselines.twist import step_twist
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem
-from vislam.config import Config
-from vislam.data.source import Dataset
+from vislam.comparison.compare import make_problem
+from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset
 from vislam.estimators import loop
 from vislam.geometry import se3
 

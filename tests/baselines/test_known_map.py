@@ -9,7 +9,7 @@ from baselines import dead_reckoning, known_map
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact, gap
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem, pixel_sigma
+from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators import loop
 from vislam.geometry import se3
 

@@ -9,9 +9,9 @@ from baselines import dead_reckoning, mapping_only
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem, pixel_sigma
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.open import Dataset
 from vislam.core.run import Run
-from vislam.data.source import Dataset
 from vislam.estimators import loop
 from vislam.geometry import se3
 from vislam.models.triangulation import triangulate

@@ -8,11 +8,11 @@ import pytest
 from baselines.report_ekf import ReportEkf, ReportEkfOptions, build, circled_dot
 from tests.conftest import from_first, recorded
 from tests.smoother.drives import drive
-from vislam import config as configuration
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem, pixel_sigma
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.open import open_dataset
 from vislam.core.run import Run
-from vislam.data.source import open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.geometry import se3

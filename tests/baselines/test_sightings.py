@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.sightings import look, pixel_variances
-from vislam.data.source import Dataset
+from vislam.comparison.open import Dataset
 from vislam.geometry import se3
 from vislam.models import StereoRig
 

@@ -11,9 +11,9 @@ from baselines.sightings import look
 from baselines.stereo_step import Prior, fit_step, residual_cov
 from tests.conftest import recorded
 from tests.smoother.drives import dark, drive, exact, gap, negative_disparities
-from vislam import config as configuration
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.data.source import open_dataset
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.open import open_dataset
 from vislam.estimators import loop
 from vislam.evaluation.trajectory import path_length
 from vislam.evaluation.trajectory_scores import score_trajectory

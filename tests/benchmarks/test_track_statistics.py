@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.track_statistics import load_sequence, main, one_frame_spread, statistics
 from tests.conftest import recorded
-from vislam import config as configuration
-from vislam.config import DataConfig
-from vislam.data.source import open_dataset
+from vislam.comparison import config as configuration
+from vislam.comparison.config import DataConfig
+from vislam.comparison.open import open_dataset
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 

@@ -7,9 +7,9 @@ import pytest
 
 from vislam.base.errors import DataError, DivergedError
 from vislam.calibration import Calibration, calibrate, parameters
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import Dataset
 from vislam.core.sequence import Sequence, piecewise_constant
-from vislam.data.source import Dataset
 from vislam.estimators.ekf import EkfEstimator
 from vislam.geometry import se3
 from vislam.repair import RepairConfig

@@ -8,9 +8,9 @@ import pytest
 from vislam.base.errors import DataError
 from vislam.calibration.likelihood import Evaluator, first_frames
 from vislam.calibration.parameters import MATCH, parameters
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.sequence import Sequence
-from vislam.data.source import Dataset, open_dataset
 from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset

@@ -10,7 +10,7 @@ from vislam import calibrate, compare
 from vislam.base.errors import DataError, DivergedError, Interrupted
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.output import Output
-from vislam.config import dump, load
+from vislam.comparison.config import dump, load
 
 CONFIG = """\
 name: small

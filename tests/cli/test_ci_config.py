@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from vislam import config as configuration
 from vislam.compare import main
+from vislam.comparison import config as configuration
 
 CONFIG = Path(__file__).parents[2] / "configs" / "ci.yaml"
 ESTIMATORS = ["ekf_invariant", "eks", "isam2"]
@@ -102,7 +102,7 @@ def test_a_sign_error_in_a_jacobian_is_caught(tmp_path, monkeypatch):
 @pytest.mark.parametrize("estimator", ["ekf_invariant", "eks", "isam2"])
 def test_a_swapped_order_of_the_tangent_is_caught(estimator, tmp_path, monkeypatch):
     """Covariances in the order (v, omega)."""
-    from vislam import running
+    from vislam.comparison import running
 
     true = running.loop.run
 

@@ -16,8 +16,8 @@ import pytest
 
 from tests.conftest import recorded
 from vislam.base.errors import DataError
-from vislam.config import DataConfig
-from vislam.data.source import open_dataset
+from vislam.comparison.config import DataConfig
+from vislam.comparison.open import open_dataset
 from vislam.datasets import download
 from vislam.datasets.download import RECORDINGS, Recording, RemoteFile, cache_folder
 from vislam.datasets.find import find_file, search_path

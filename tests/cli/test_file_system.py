@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from vislam import calibrate, compare, comparison, evaluate, inspect, simulate
+from vislam import calibrate, compare, evaluate, inspect, simulate
+from vislam.comparison import compare as comparison
 from vislam.report import markdown
 
 TINY = str(Path(__file__).parents[2] / "configs" / "tiny.yaml")

@@ -10,7 +10,7 @@ import yaml
 from tests.cli.test_compare import course_file
 from tests.data.test_plausibility import drive, with_stamps
 from vislam import compare
-from vislam import config as configuration
+from vislam.comparison import config as configuration
 from vislam.datasets.course_export import write_course_npz
 from vislam.inspect import main
 from vislam.inspection.written import annotated

@@ -13,7 +13,7 @@ import yaml
 
 from vislam import compare, evaluate, inspect
 from vislam.base.files import folder_name
-from vislam.config import LONGEST_NAME
+from vislam.comparison.config import LONGEST_NAME
 from vislam.terminal import Terminal
 
 ROOT = Path(__file__).parents[2]

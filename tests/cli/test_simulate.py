@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam import config as configuration
+from vislam.comparison import config as configuration
 from vislam.datasets.course_npz import load_course_npz
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3

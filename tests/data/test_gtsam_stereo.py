@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vislam.base.errors import DataError
-from vislam.config import DataConfig, PackagedConfig
+from vislam.comparison.config import DataConfig, PackagedConfig
+from vislam.comparison.open import open_dataset
 from vislam.core.sequence import piecewise_constant
-from vislam.data.source import open_dataset
 from vislam.datasets import kitti00 as gtsam_stereo
 from vislam.datasets.kitti00_batch import batch_poses
 from vislam.datasets.text import read_table

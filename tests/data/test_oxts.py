@@ -8,8 +8,8 @@ import pytest
 
 from tests.cli.test_compare import course_file
 from vislam.base.errors import DataError
-from vislam.config import DataConfig, InertialConfig
-from vislam.data.source import open_dataset
+from vislam.comparison.config import DataConfig, InertialConfig
+from vislam.comparison.open import open_dataset
 from vislam.datasets.oxts import read_timestamps, with_oxts
 from vislam.geometry import se3
 from vislam.repair.inertial import LevelledVelocity

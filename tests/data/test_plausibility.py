@@ -11,10 +11,10 @@ from tests.cli.test_compare import course_file
 from vislam.base.errors import DataError
 from vislam.calibration import calibrate
 from vislam.compare import main
-from vislam.comparison import run_comparison
-from vislam.config import Config, DataConfig
-from vislam.data.plausibility import implausible, motion_ratios
-from vislam.data.source import Dataset, open_dataset, require_usable
+from vislam.comparison.compare import run_comparison
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.open import Dataset, open_dataset, require_usable
+from vislam.comparison.plausibility import implausible, motion_ratios
 from vislam.datasets.course_export import write_course_npz
 from vislam.geometry import se3
 from vislam.repair import RepairConfig, apply

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import ConfigError, DataError
-from vislam.config import ReferenceConfig
+from vislam.comparison.config import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 
@@ -150,7 +150,7 @@ def test_bad_references_are_one_line(tmp_path, case):
 
 
 def test_an_unknown_format_is_named(tmp_path):
-    from vislam.config import parse
+    from vislam.comparison.config import parse
 
     with pytest.raises(ConfigError, match=r"format.*'planar_xy', 'kitti', 'kitti360', 'tum' or 'euroc'"):
         parse(ReferenceConfig, {"file": "f", "format": "kitti_cam", "name": "r", "limits": "l"})

@@ -7,8 +7,8 @@ import pytest
 
 from tests.cli.test_compare import course_file
 from tests.conftest import recorded
+from vislam.comparison.open import Dataset
 from vislam.core.sequence import Sequence
-from vislam.data.source import Dataset
 from vislam.datasets.course_npz import load_course_npz
 from vislam.models import StereoRig
 from vislam.repair import RepairConfig, apply

@@ -9,9 +9,9 @@ import pytest
 from tests.conftest import recorded
 from vislam.base.types import Array
 from vislam.calibration.likelihood import first_frames
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config, load
-from vislam.data.source import Dataset, open_dataset
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config, load
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.ekf.backward import Smoothed
 from vislam.estimators.ekf.dense import DenseFilter

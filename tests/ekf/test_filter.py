@@ -7,10 +7,10 @@ import pytest
 
 from tests.conftest import from_first
 from vislam.base.errors import DivergedError
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config, DataConfig
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.run import Run
-from vislam.data.source import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions, chart
 from vislam.estimators.ekf.dense import DenseFilter
 from vislam.estimators.ekf.layout import NAV

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam.comparison import make_problem, pixel_sigma
+from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions, observability
 from vislam.estimators.ekf.linear import Update

@@ -8,11 +8,11 @@ import pytest
 from tests.conftest import from_first
 from tests.records import made_record
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import ClimbConfig, Config, DataConfig
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import ClimbConfig, Config, DataConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import find
 from vislam.core.run import Run
-from vislam.data.source import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.ekf.layout import CLOCK, NAV, OFFSET, TILT
 from vislam.estimators.ekf.linear import Update

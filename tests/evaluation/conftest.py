@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import recorded
-from vislam import config
+from vislam.comparison import config
+from vislam.comparison.open import open_dataset
 from vislam.core.reference import Reference
-from vislam.data.source import open_dataset
 from vislam.evaluation.association import Matched, associate
 from vislam.geometry import se3
 from vislam.simulation import SimulationConfig

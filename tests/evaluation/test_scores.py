@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vislam.comparison import compare
-from vislam.config import Config
+from vislam.comparison.compare import compare
+from vislam.comparison.config import Config
+from vislam.comparison.results import Results, metrics_document
 from vislam.core.reference import Reference
 from vislam.evaluation import evaluate
-from vislam.results import Results, metrics_document
 from vislam.terminal import Terminal
 
 

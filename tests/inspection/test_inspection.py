@@ -10,8 +10,8 @@ import pytest
 
 from tests.clement import converted
 from tests.conftest import recorded
-from vislam.config import Config, DataConfig, NoiseConfig
-from vislam.data.source import open_dataset
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import open_dataset
 from vislam.datasets.course_npz import load_course_npz
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired

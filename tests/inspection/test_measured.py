@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.data.test_plausibility import RIGS, drive
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
 from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.geometry import se3
 from vislam.inspection import inspect_sequence

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.data.test_plausibility import drive
-from vislam.config import Config, DataConfig
+from vislam.comparison.config import Config, DataConfig
 from vislam.inspection import inspect_sequence
 from vislam.inspection.observations import check_observations
 from vislam.repair import RepairConfig

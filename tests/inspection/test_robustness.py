@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vislam import config as configuration
-from vislam.config import Config, DataConfig
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config, DataConfig
 from vislam.inspection import inspect_sequence
 from vislam.inspection.written import proposed_config
 from vislam.repair import RepairConfig

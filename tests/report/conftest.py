@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from vislam.compare import main
+from vislam.comparison.results import Results
 from vislam.core.record import Record
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation, evaluate
@@ -14,7 +15,6 @@ from vislam.report.figures import all_figures
 from vislam.report.page import write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
-from vislam.results import Results
 
 TINY = Path(__file__).parents[2] / "configs" / "tiny.yaml"
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import recorded
 from vislam.base.errors import ConfigError, DataError
-from vislam.config import Config, DataConfig
-from vislam.data.recorded_drive import load_recorded_path
-from vislam.data.source import open_dataset
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.open import open_dataset
+from vislam.comparison.simulated import load_recorded_path
 from vislam.datasets.trajectories import UPRIGHT, read_poses
 from vislam.geometry import se3
 from vislam.simulation import SimulationConfig, simulate

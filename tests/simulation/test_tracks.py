@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import from_first
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import open_dataset
 from vislam.core import estimator
-from vislam.data.source import open_dataset
 from vislam.estimators import loop
 from vislam.evaluation.normalised import bias_errors
 from vislam.repair.tracks import stale_observations

@@ -8,12 +8,12 @@ import numpy as np
 
 from tests.conftest import from_first
 from vislam.base.types import Array
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence, piecewise_constant
-from vislam.data.source import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, family

@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 from tests.conftest import recorded
 from tests.smoother.drives import drive, filtered, gap, member
 from vislam.calibration.likelihood import first_frames
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import load
-from vislam.data.source import open_dataset
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import load
+from vislam.comparison.open import open_dataset
 from vislam.geometry import se3
 from vislam.models import track_noise as noise
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import BUILD, ate, drive
-from vislam.comparison import make_problem, pixel_sigma
+from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine
 from vislam.estimators.smoother.engine import IndeterminateError

@@ -9,9 +9,9 @@ import pytest
 from tests.conftest import from_first
 from tests.smoother.drives import BUILD, RIG, ate, drive, gap, member, smoother
 from vislam.base.errors import ConfigError
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import ClimbConfig, Config
-from vislam.data.source import Dataset, open_dataset
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import ClimbConfig, Config
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine

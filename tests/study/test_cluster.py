@@ -9,7 +9,7 @@ import pytest
 from distributed import Client, Future
 
 from vislam.base.errors import ConfigError, DataError
-from vislam.identity import code_digest
+from vislam.comparison.identity import code_digest
 from vislam.study import cluster
 from vislam.study.cluster import LOST, Cluster, run_trials
 from vislam.study.connection import Tls, WorkersGone

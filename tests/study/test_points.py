@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.study.points import Point, all_points, all_trials, point_values
 from vislam.study.settings import LatinHypercube, StudyConfig
 from vislam.study.trials import Trials

@@ -29,9 +29,9 @@ from tests.study.processes import (
     worker,
     workers_of,
 )
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError
-from vislam.identity import code_digest
+from vislam.comparison import config as configuration
+from vislam.comparison.identity import code_digest
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.plan import Plan
 from vislam.study.points import Point, all_trials

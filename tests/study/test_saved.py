@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vislam.identity import code_digest
+from vislam.comparison.identity import code_digest
 from vislam.study.folder import StudyFolder
 from vislam.study.points import Point, Trial, all_trials
 from vislam.study.summary import reasons_of, rows_of

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import recorded
-from vislam import config as configuration
 from vislam.base.errors import Interrupted
 from vislam.command import answer
+from vislam.comparison import config as configuration
 from vislam.study import conduct
 from vislam.study.__main__ import main
 from vislam.study.cluster import LOST
@@ -442,7 +442,7 @@ def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_star
 
 @pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), CONFIGS / "monte_carlo.yaml"])
 def test_the_studies_that_come_along_can_be_planned(path):
-    from vislam import config as configuration
+    from vislam.comparison import config as configuration
 
     plan = Plan.of(configuration.load(path))
     assert len(plan.points) * plan.study.seeds == len({trial.id for trial in plan.trials()})

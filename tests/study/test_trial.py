@@ -10,7 +10,7 @@ import pytest
 
 import vislam.study.trial
 from vislam.base.errors import Interrupted
-from vislam.identity import code_digest
+from vislam.comparison.identity import code_digest
 from vislam.study.points import Point
 from vislam.study.trial import run_trial
 
@@ -47,15 +47,15 @@ def test_a_trial_that_raises_is_a_result(tree):
 
 
 def test_an_incomplete_estimator_is_named_and_not_scored(tree, monkeypatch):
-    import vislam.running
+    import vislam.comparison.running
 
-    whole = vislam.running.loop.run
+    whole = vislam.comparison.running.loop.run
 
     def stopped(solver, *args, name, **kwargs):
         run = whole(solver, *args, name=name, **kwargs)
         return replace(run, error="frame 7: lost") if name == "ekf" else run
 
-    monkeypatch.setattr(vislam.running.loop, "run", stopped)
+    monkeypatch.setattr(vislam.comparison.running.loop, "run", stopped)
     found = run_trial(tree, 0)
     assert (found["status"], found["reason"]) == ("done", "ekf: frame 7: lost")
     assert found["runs"]["ekf"] == {"complete": False, "error": "frame 7: lost"}

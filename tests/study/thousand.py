@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 
 from tests.study.synthetic import record
-from vislam.config import Config, DataConfig
-from vislam.identity import code_digest
+from vislam.comparison.config import Config, DataConfig
+from vislam.comparison.identity import code_digest
 from vislam.simulation import SimulationConfig
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.conduct import conclude

@@ -14,9 +14,9 @@ from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import ROUNDS, Round, maximise
 from vislam.calibration.workers import Workers
-from vislam.config import Config
+from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
-from vislam.data.source import Dataset, require_usable
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3

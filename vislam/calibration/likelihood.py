@@ -8,11 +8,11 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.calibration.workers import Workers
-from vislam.comparison import make_problem, pixel_sigma
-from vislam.config import Config
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
-from vislam.data.source import Dataset
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock

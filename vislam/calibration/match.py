@@ -11,7 +11,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.calibration.likelihood import Evaluator
-from vislam.config import Config
+from vislam.comparison.config import Config
 
 _ITERATIONS = 4
 _RESTS = 0.01

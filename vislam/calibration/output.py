@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from vislam import config as configuration
 from vislam.base.files import check_writable, write_text
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 
 
 class Output:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vislam.config import Config, NoiseConfig
+from vislam.comparison.config import Config, NoiseConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from vislam.base.errors import ConfigError
 from vislam.checks.saved import Saved
 from vislam.checks.settings import SAVED, Check, refuse_unknown
-from vislam.config import Config
+from vislam.comparison.config import Config
 from vislam.core.reference import Reference
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from pydantic import Field, StrictBool, StrictFloat
 from pydantic.dataclasses import dataclass
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError, first_line
 from vislam.base.files import open_regular
 from vislam.base.legible import brief
 from vislam.checks.settings import SAVED, Check
+from vislam.comparison import config as configuration
 
 _MOST_BYTES = 1 << 26
 """Largest ``metrics.json``; that of ten estimators has less than a hundredth."""

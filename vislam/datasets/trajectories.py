@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
-from vislam.config import STAMPED, ReferenceConfig
+from vislam.comparison.config import STAMPED, ReferenceConfig
 from vislam.core.reference import Reference
 from vislam.datasets.text import read_table
 from vislam.geometry import se3, so3

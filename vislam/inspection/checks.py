@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.types import Array
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.core.rigid_fit import RigidFit, continuations, rigid_fits
 from vislam.core.sequence import Sequence
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from vislam.base.types import Array
+from vislam.comparison.plausibility import implausible
 from vislam.core.rigid_fit import FEWEST, continuations
 from vislam.core.sequence import Sequence
-from vislam.data.plausibility import implausible
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
 from vislam.repair.tracks import stale_observations

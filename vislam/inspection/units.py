@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vislam.core.sequence import Sequence
-from vislam.data.plausibility import (
+from vislam.comparison.plausibility import (
     DEGREES,
     Ratios,
     distance_guess,
@@ -15,6 +14,7 @@ from vislam.data.plausibility import (
     turn_guess,
     turn_text,
 )
+from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding
 
 _OFF = 1.5

@@ -5,9 +5,9 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from vislam import config as configuration
 from vislam.base.legible import one_line
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.datasets.find import find_path
 from vislam.inspection.finding import Inspection
 

@@ -63,7 +63,7 @@ def simulate(
     generator = np.random.default_rng(seed)
     if path is None:
         if config.recorded is not None:
-            raise ValueError("path: recorded needs the poses: see vislam.data.recorded_drive")
+            raise ValueError("path: recorded needs the poses: see vislam.comparison.simulated")
         path = DrivePath(config, generator)
     stamp: Array = config.period * np.arange(config.frames, dtype=np.float64)
     world_T_imu = path.pose(stamp)

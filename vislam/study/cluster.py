@@ -16,7 +16,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from vislam.base.errors import ConfigError, DataError, first_line
-from vislam.identity import code_digest
+from vislam.comparison.identity import code_digest
 from vislam.study.connection import Tls, WorkersGone, local_client, other_code, remote_client
 from vislam.study.points import Trial
 from vislam.study.trial import nothing, run_trial

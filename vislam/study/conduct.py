@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.errors import DivergedError
 from vislam.base.files import folder_name
-from vislam.comparison import provenance
-from vislam.config import LONGEST_NAME, Config, parse
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import provenance
+from vislam.comparison.config import LONGEST_NAME, Config, parse
 from vislam.report.study_ablation import DETAILS, short_table
 from vislam.report.study_labels import ERRORS, TIME, errors
 from vislam.report.study_page import write_study_page

@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster
 from distributed.security import Security
 
 from vislam.base.errors import ConfigError, first_line
-from vislam.identity import code_digest
+from vislam.comparison.identity import code_digest
 
 _LOCAL = {"distributed.worker.profile.enabled": False}
 """Dask would look a hundred times a second at what a worker does, for a profile that nobody asks for."""

@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vislam import config as configuration
 from vislam.base.errors import DataError, NotWrittenError
 from vislam.base.files import check_writable, replace_whole
-from vislam.identity import code_digest
+from vislam.comparison import config as configuration
+from vislam.comparison.identity import code_digest
 from vislam.study import saved
 from vislam.study.points import Trial
 from vislam.study.saved import Result

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 
 from vislam.base.errors import ConfigError, DataError, Interrupted, first_line
 from vislam.base.files import folder_name
-from vislam.comparison import build_estimators
-from vislam.config import Config, parse
-from vislam.data.source import open_dataset
-from vislam.identity import code_digest, combine
+from vislam.comparison.compare import build_estimators
+from vislam.comparison.config import Config, parse
+from vislam.comparison.identity import code_digest, combine
+from vislam.comparison.open import open_dataset
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig

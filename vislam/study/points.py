@@ -11,12 +11,12 @@ from typing import Any
 
 from scipy.stats import qmc
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, first_line
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
+from vislam.comparison.identity import inputs_digest
+from vislam.comparison.members import members
 from vislam.datasets.find import search_path
-from vislam.identity import inputs_digest
-from vislam.members import members
 from vislam.study.ablation import CASE, Ablation, changes
 from vislam.study.settings import StudyConfig
 from vislam.study.trials import hashable

@@ -4,8 +4,8 @@ import math
 import re
 from collections import Counter
 
-from vislam import config as configuration
 from vislam.base.legible import one_line
+from vislam.comparison import config as configuration
 from vislam.study import answers
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials

@@ -11,15 +11,15 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from vislam import config as configuration
 from vislam.base.errors import Interrupted, first_line
-from vislam.comparison import run_comparison
-from vislam.config import Config
-from vislam.data.source import open_dataset
+from vislam.comparison import config as configuration
+from vislam.comparison.compare import run_comparison
+from vislam.comparison.config import Config
+from vislam.comparison.identity import code_digest, inputs_digest
+from vislam.comparison.open import open_dataset
 from vislam.datasets.find import search_path
 from vislam.evaluation import evaluate
 from vislam.evaluation.statistics import Statistic
-from vislam.identity import code_digest, inputs_digest
 from vislam.terminal import Terminal
 
 DONE, FAILED = "done", "failed"

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from vislam import config
+from vislam.comparison import config
 from vislam.core.estimator import Problem
 from vislam.estimators.ekf.filter import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions

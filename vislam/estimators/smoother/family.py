@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from vislam import config
 from vislam.base.errors import ConfigError
+from vislam.comparison import config
 from vislam.core.estimator import Problem
 from vislam.estimators.smoother.incremental import SmootherEstimator
 from vislam.estimators.smoother.options import SmootherOptions

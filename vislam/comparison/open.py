@@ -8,11 +8,11 @@ import numpy as np
 
 from vislam import repair
 from vislam.base.errors import DataError
-from vislam.config import DataConfig, InertialConfig, PackagedConfig
+from vislam.comparison.config import DataConfig, InertialConfig, PackagedConfig
+from vislam.comparison.plausibility import Implausible, implausible
+from vislam.comparison.simulated import simulated_drive
 from vislam.core.reference import Reference, truth_reference
 from vislam.core.sequence import Repair, Sequence
-from vislam.data.plausibility import Implausible, implausible
-from vislam.data.recorded_drive import simulated_drive
 from vislam.datasets.course_npz import load_course_npz
 from vislam.datasets.find import find_file, find_path, not_found, search_path
 from vislam.datasets.kitti00 import load_kitti00

@@ -10,25 +10,25 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.files import check_writable, folder_name
 from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
+from vislam.comparison.identity import code_digest, inputs_digest
+from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
+from vislam.comparison.members import Unbuilt, members
+from vislam.comparison.open import Dataset, open_dataset, require_usable
+from vislam.comparison.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
+from vislam.comparison.running import Runner
 from vislam.core.estimator import ClimbNoise, Estimator, Problem
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
-from vislam.data.source import Dataset, open_dataset, require_usable
 from vislam.datasets.find import search_path
 from vislam.evaluation.held_out import hold_out
-from vislam.identity import code_digest, inputs_digest
-from vislam.keeping import FolderKeeper, Keeper, NoKeeper
-from vislam.members import Unbuilt, members
 from vislam.models import TrackNoise, independent_sigma
 from vislam.models.odometry import MotionNoise
-from vislam.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
-from vislam.running import Runner
 from vislam.terminal import Terminal
 
 _ID_DIGITS = 10

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError
-from vislam.config import ReferenceConfig
+from vislam.comparison import config as configuration
+from vislam.comparison.config import ReferenceConfig
+from vislam.comparison.results import Results
 from vislam.core.record import Record
 from vislam.core.run import Run
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
-from vislam.results import Results
 
 _KEYS = ("format", "pose_of", "up")
 

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass
 
-from vislam import config as configuration
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.fields import STRICT
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
 from vislam.core import estimator
 from vislam.core.estimator import Build, Estimator, Problem
 

@@ -8,17 +8,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from vislam import config as configuration
 from vislam.base.errors import INTERRUPTED, DataError
 from vislam.base.files import replace_whole, write_text
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
-from vislam.config import Config
+from vislam.comparison import config as configuration
+from vislam.comparison.config import Config
+from vislam.comparison.keeping import RUNS
 from vislam.core.record import Record
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
-from vislam.keeping import RUNS
 from vislam.report.figures import all_figures
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data

@@ -1,0 +1,1 @@
+"""One recording, many estimators: config, data, runs, results."""
