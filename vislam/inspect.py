@@ -38,8 +38,8 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam.datasets.find import search_path  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
+    from vislam.inspection.page import write_inspection  # noqa: PLC0415
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
-    from vislam.report.inspection import write_inspection  # noqa: PLC0415
     from vislam.terminal import Terminal  # noqa: PLC0415
 
     if (options.config is None) == (options.file is None):

@@ -16,8 +16,8 @@ from vislam.datasets.course_npz import load_course_npz
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired
 from vislam.inspection.mounting import candidates
+from vislam.inspection.page import figures
 from vislam.repair import RepairConfig
-from vislam.report.inspection import figures
 from vislam.simulation import SimulationConfig
 
 CLEAN = SimulationConfig(

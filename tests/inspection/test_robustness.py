@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config, DataConfig
 from vislam.inspection import inspect_sequence
+from vislam.inspection.page import write_inspection
 from vislam.inspection.written import proposed_config
 from vislam.repair import RepairConfig
-from vislam.report.inspection import write_inspection
 from vislam.simulation import SimulationConfig, simulate
 
 VERDICTS = {"ok", "fault", "unclear", "note"}
