@@ -6,8 +6,8 @@ import pytest
 
 from tests.report.test_page import EVIL, Elements
 from tests.study.synthetic import lost, record, study
-from vislam.report.study_figures import all_figures
-from vislam.report.study_page import write_study_page
+from vislam.study.page.figures import all_figures
+from vislam.study.page.page import write_study_page
 from vislam.study.trials import Trials
 
 PIXELS = {"noise.pixel_sigma_px": [0.25, 0.5, 1.0]}

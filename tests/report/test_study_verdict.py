@@ -3,8 +3,8 @@
 import pytest
 
 from tests.study.synthetic import lost, record, study
-from vislam.report.study_labels import parameter_label, setting
-from vislam.report.study_verdict import consistency, verdict
+from vislam.study.page.labels import parameter_label, setting
+from vislam.study.page.verdict import consistency, verdict
 from vislam.study.trials import Trials
 
 NOISE = "data.simulation.pixel_sigma_px"

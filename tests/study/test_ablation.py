@@ -6,8 +6,8 @@ import pytest
 
 from tests.report.test_study_page import page
 from tests.study.synthetic import record
-from vislam.report.study_ablation import cost, defects_table, mending_table, short_table, verdict
 from vislam.study.ablation import CASE, Ablation, changes
+from vislam.study.page.ablation import cost, defects_table, mending_table, short_table, verdict
 from vislam.study.trials import Trials
 
 ABLATION = Ablation(("sign", "axes", "stale", "bias"))

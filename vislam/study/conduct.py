@@ -13,14 +13,14 @@ from vislam.base.files import folder_name
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import provenance
 from vislam.comparison.config import LONGEST_NAME, Config, parse
-from vislam.report.study_ablation import DETAILS, short_table
-from vislam.report.study_labels import ERRORS, TIME, errors
-from vislam.report.study_page import write_study_page
 from vislam.study.ablation import CASE, slug
 from vislam.study.answers import COVERAGE, NEES
 from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
 from vislam.study.connection import WorkersGone
 from vislam.study.folder import StudyFolder, told
+from vislam.study.page.ablation import DETAILS, short_table
+from vislam.study.page.labels import ERRORS, TIME, errors
+from vislam.study.page.page import write_study_page
 from vislam.study.plan import Plan
 from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED

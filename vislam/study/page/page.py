@@ -10,22 +10,22 @@ from markupsafe import Markup
 
 from vislam.base.errors import first_line
 from vislam.base.files import write_text
-from vislam.report import study_ablation
 from vislam.report.figures import Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
-from vislam.report.study_figures import all_figures
-from vislam.report.study_labels import errors
-from vislam.report.study_tables import (
+from vislam.report.table import Table
+from vislam.study.ablation import Ablation
+from vislam.study.answers import CLAIMED, trial_bound
+from vislam.study.page import ablation as study_ablation
+from vislam.study.page.figures import all_figures
+from vislam.study.page.labels import errors
+from vislam.study.page.tables import (
     consistency_table,
     errors_table,
     failed_table,
     failures_table,
     pairs_table,
 )
-from vislam.report.study_verdict import verdict
-from vislam.report.table import Table
-from vislam.study.ablation import Ablation
-from vislam.study.answers import CLAIMED, trial_bound
+from vislam.study.page.verdict import verdict
 from vislam.study.trials import Trials
 
 _UNDRAWABLE = (ArithmeticError, ValueError)

@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vislam.base.types import Array
-from vislam.report.study_labels import errors, metric_label, parameter_label, plain
 from vislam.study.answers import median
+from vislam.study.page.labels import errors, metric_label, parameter_label, plain
 from vislam.study.trials import Trials
 
 _COLUMNS = 2

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from vislam.base.types import IntArray
-from vislam.report.study_labels import (
+from vislam.report.table import Table
+from vislam.study.answers import failure_rate, mean, median, paired, pooled_coverage, pooled_nees
+from vislam.study.page.labels import (
     ERRORS,
     TIME,
     errors,
@@ -16,8 +18,6 @@ from vislam.report.study_labels import (
     plain,
     with_interval,
 )
-from vislam.report.table import Table
-from vislam.study.answers import failure_rate, mean, median, paired, pooled_coverage, pooled_nees
 from vislam.study.trials import Trials
 
 

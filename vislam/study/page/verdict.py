@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vislam.report.study_labels import (
+from vislam.study.answers import PooledNees, failure_rate, median, onset, paired, pooled_nees
+from vislam.study.page.labels import (
     ERRORS,
     errors,
     parameter_label,
@@ -13,7 +14,6 @@ from vislam.report.study_labels import (
     setting,
     with_interval,
 )
-from vislam.study.answers import PooledNees, failure_rate, median, onset, paired, pooled_nees
 from vislam.study.trials import Trials, is_number
 
 _SURE = 0.05

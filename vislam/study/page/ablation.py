@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from vislam.report.figures import Drawing
 from vislam.report.shown import colours
-from vislam.report.study_labels import ERRORS, errors, metric_label
 from vislam.report.table import Table
 from vislam.study.ablation import CASE, Ablation
+from vislam.study.page.labels import ERRORS, errors, metric_label
 from vislam.study.trials import Trials
 
 DETAILS = {

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from vislam.base.types import Array, IntArray
 from vislam.report.figures import Drawing
 from vislam.report.shown import colours
-from vislam.report.study_labels import TIME, errors, metric_label, parameter_label, plain
-from vislam.report.study_maps import heat_map
 from vislam.study.answers import NEES, failure_rate, median, pooled_nees
 from vislam.study.intervals import Estimate
+from vislam.study.page.labels import TIME, errors, metric_label, parameter_label, plain
+from vislam.study.page.maps import heat_map
 from vislam.study.trials import Trials, is_number
 
 _WIDE = 20.0
