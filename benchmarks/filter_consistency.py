@@ -27,6 +27,7 @@ from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
+from vislam.cli.console import Terminal
 from vislam.comparison.config import parse
 from vislam.core import estimator
 from vislam.core.estimator import Problem
@@ -41,7 +42,6 @@ from vislam.evaluation.consistency import (
     consistency,
     coverage,
 )
-from vislam.terminal import Terminal
 
 MOTION_ALONE = "dead_reckoning"
 """The check of the motion noise: linear enough over the first frames."""

@@ -18,7 +18,7 @@ from benchmarks.telling import tell
 from benchmarks.timing import Drive, Part, Timed
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.files import check_writable
-from vislam.command import answer
+from vislam.cli.command import answer
 from vislam.comparison.config import Config
 
 _CONFIGS = Path(__file__).parents[1] / "configs"

@@ -20,11 +20,11 @@ from benchmarks.telling import tell
 from benchmarks.timing import Drive, Part
 from vislam.base.errors import DataError
 from vislam.base.files import check_writable, replace_whole
-from vislam.command import answer
+from vislam.cli.command import answer
+from vislam.cli.console import Terminal
 from vislam.comparison.config import Config, DataConfig, NoiseConfig, load
 from vislam.evaluation.held_out import CAP_PX, HeldOut, HeldOutScore, hold_out, paired, score
 from vislam.simulation import SimulationConfig
-from vislam.terminal import Terminal
 
 SHARE = 0.1
 _TOLD_APART = 0.01

@@ -14,14 +14,14 @@ from benchmarks.telling import tell
 from benchmarks.timing import Part
 from vislam.base.errors import ConfigError
 from vislam.base.files import check_writable, replace_whole
-from vislam.command import answer
+from vislam.cli.command import answer
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import run_comparison
 from vislam.comparison.config import Config
 from vislam.comparison.open import open_dataset
 from vislam.comparison.results import Results
 from vislam.evaluation import Evaluation, evaluate
-from vislam.terminal import Terminal
 
 QUOTED_S = 60.0
 """What the report says that mapping alone took on its dataset 3, with one feature in twenty [s]."""

@@ -20,7 +20,8 @@ from benchmarks.telling import tell
 from benchmarks.timing import Part
 from vislam.base.errors import ConfigError
 from vislam.base.files import check_writable
-from vislam.command import answer
+from vislam.cli.command import answer
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.study.cluster import Cluster, run_trials
@@ -28,7 +29,6 @@ from vislam.study.conduct import conclude
 from vislam.study.folder import StudyFolder
 from vislam.study.plan import Plan
 from vislam.study.settings import StudyConfig
-from vislam.terminal import Terminal
 
 WORKERS = (1, 2)
 TARGET = 1.8

@@ -8,8 +8,8 @@ from threadpoolctl import threadpool_info
 
 from benchmarks.timing import Part
 from vislam.base.files import replace_whole
+from vislam.cli.console import Terminal
 from vislam.comparison.compare import provenance
-from vislam.terminal import Terminal
 
 
 def tell(parts: Mapping[str, Callable[[], Part]], *, out: Path | None) -> None:

@@ -13,13 +13,13 @@ import numpy as np
 
 from vislam.base.errors import ConfigError
 from vislam.base.types import Array, IntArray
-from vislam.command import answer
+from vislam.cli.command import answer
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config, DataConfig
 from vislam.comparison.open import open_dataset
 from vislam.core import sequence as data
 from vislam.core.rigid_fit import continuations, rigid_fits
-from vislam.terminal import Terminal
 
 _UNITS = ("mean column [px]", "disparity [px]", "row [px]")
 

@@ -10,6 +10,7 @@ import pytest
 from tests.cli.test_compare import TINY, config_file
 from tests.test_estimator import Scripted, everything
 from vislam.base.errors import ConfigError, DivergedError
+from vislam.cli.console import Terminal
 from vislam.compare import main
 from vislam.comparison.compare import compare, make_problem, pixel_sigma
 from vislam.comparison.config import Config, HeldOutConfig
@@ -20,7 +21,6 @@ from vislam.core.observation_set import FrozenList
 from vislam.estimators.ekf import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.loop import run
-from vislam.terminal import Terminal
 
 
 def build_ends(problem, options):

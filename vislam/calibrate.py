@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vislam.base.errors import ConfigError
-from vislam.command import Parser, add_config_options, answer, load_config
+from vislam.cli.command import Parser, add_config_options, answer, load_config
 
 _BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
 
@@ -48,8 +48,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
     from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
     from vislam.calibration.output import Output  # noqa: PLC0415
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.open import open_dataset  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     terminal, out = Terminal(), Output(options.out)
     dataset = open_dataset(

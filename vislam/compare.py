@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vislam.command import (
+from vislam.cli.command import (
     Parser,
     add_check_options,
     add_config_options,
@@ -53,9 +53,9 @@ def _compare(options: argparse.Namespace) -> int:
     if options.dump_config:
         print(configuration.dump(config), end="")
         return 0
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.compare import compare  # noqa: PLC0415
     from vislam.comparison.results import conclude  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     outcome = compare(
         config,

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import Parser, add_check_options, answer, refuse_bad_check_options
+from vislam.cli.command import Parser, add_check_options, answer, refuse_bad_check_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,9 +41,9 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     from vislam.base.files import check_writable  # noqa: PLC0415
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.imported import with_trajectories  # noqa: PLC0415
     from vislam.comparison.results import PLACES, SCHEMA_VERSION, Results, announce, conclude, publish  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     refuse_bad_check_options(options)
     results = Results.load(options.results)

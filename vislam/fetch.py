@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vislam.base.errors import DataError
-from vislam.command import Parser, answer
+from vislam.cli.command import Parser, answer
+from vislam.cli.console import Terminal
 from vislam.datasets import download
-from vislam.terminal import Terminal
 
 _DAY = 86400.0
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vislam.command import Parser, add_config_options, answer, overrides
+from vislam.cli.command import Parser, add_config_options, answer, overrides
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,6 +33,7 @@ def _inspect(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam.base.errors import ConfigError, DataError  # noqa: PLC0415
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison import config as configuration  # noqa: PLC0415
     from vislam.comparison.open import open_dataset  # noqa: PLC0415
     from vislam.datasets.find import search_path  # noqa: PLC0415
@@ -40,7 +41,6 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
     from vislam.inspection.page import write_inspection  # noqa: PLC0415
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     if (options.config is None) == (options.file is None):
         raise ConfigError("one of --config and --file must be given")

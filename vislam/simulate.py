@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.command import Parser, answer, load_config
+from vislam.cli.command import Parser, answer, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,11 +41,11 @@ def _simulate(options: argparse.Namespace) -> int:
     config = load_config(options)
     from vislam.base.errors import ConfigError  # noqa: PLC0415
     from vislam.base.files import check_writable, replace_whole  # noqa: PLC0415
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.simulated import simulated_drive  # noqa: PLC0415
     from vislam.datasets.course_export import write_course_npz  # noqa: PLC0415
     from vislam.datasets.export import write_tum  # noqa: PLC0415
     from vislam.datasets.find import search_path  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     simulation = config.data.simulation
     if simulation is None:

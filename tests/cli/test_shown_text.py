@@ -13,8 +13,8 @@ import yaml
 
 from vislam import compare, evaluate, inspect
 from vislam.base.files import folder_name
+from vislam.cli.console import Terminal
 from vislam.comparison.config import LONGEST_NAME
-from vislam.terminal import Terminal
 
 ROOT = Path(__file__).parents[2]
 DRIVE = {"frames": 12, "tracks_in_view": 15}

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.cli.test_compare import course_file
 from vislam.base.errors import DataError
 from vislam.calibration import calibrate
+from vislam.cli.console import Terminal
 from vislam.compare import main
 from vislam.comparison.compare import run_comparison
 from vislam.comparison.config import Config, DataConfig
@@ -21,7 +22,6 @@ from vislam.repair import RepairConfig, apply
 from vislam.repair.mounting import Baseline
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.settings import RigConfig
-from vislam.terminal import Terminal
 
 HAND = RigConfig(
     fx=485.0,

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vislam.cli.console import Terminal
 from vislam.comparison.compare import compare
 from vislam.comparison.config import Config
 from vislam.comparison.results import Results, metrics_document
 from vislam.core.reference import Reference
 from vislam.evaluation import evaluate
-from vislam.terminal import Terminal
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.evaluation.test_evaluation import circle, made_run
 from tests.records import made_record
-from vislam import command, compare, evaluate
+from vislam import compare, evaluate
 from vislam.base.errors import ConfigError
+from vislam.cli import command
 from vislam.core.record import Tracks
 from vislam.core.reference import Reference, truth_reference
 from vislam.geometry import se3

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.smoother.drives import BUILD, drive
 from vislam.base.errors import ConfigError, Interrupted
-from vislam.command import interruptible
+from vislam.cli.command import interruptible
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import descent

@@ -11,7 +11,8 @@ import pytest
 
 from tests.conftest import recorded
 from vislam.base.errors import Interrupted
-from vislam.command import answer
+from vislam.cli.command import answer
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.study import conduct
 from vislam.study.__main__ import main
@@ -19,7 +20,6 @@ from vislam.study.cluster import LOST
 from vislam.study.connection import WorkersGone
 from vislam.study.plan import Plan
 from vislam.study.trial import nothing, run_trial
-from vislam.terminal import Terminal
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SMALL = """

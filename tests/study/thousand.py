@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 
 from tests.study.synthetic import record
+from vislam.cli.console import Terminal
 from vislam.comparison.config import Config, DataConfig
 from vislam.comparison.identity import code_digest
 from vislam.simulation import SimulationConfig
@@ -18,7 +19,6 @@ from vislam.study.conduct import conclude
 from vislam.study.folder import StudyFolder
 from vislam.study.plan import Plan
 from vislam.study.settings import StudyConfig
-from vislam.terminal import Terminal
 
 NUMBERS = (100, 1000)
 RUNS = ("dead_reckoning", "ekf", "eks", "isam2")

@@ -14,6 +14,7 @@ from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.files import check_writable, folder_name
 from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.identity import code_digest, inputs_digest
@@ -29,7 +30,6 @@ from vislam.datasets.find import search_path
 from vislam.evaluation.held_out import hold_out
 from vislam.models import TrackNoise, independent_sigma
 from vislam.models.odometry import MotionNoise
-from vislam.terminal import Terminal
 
 _ID_DIGITS = 10
 """Digits of the hash in the name of a results folder."""

@@ -12,6 +12,7 @@ from vislam.base.errors import INTERRUPTED, DataError
 from vislam.base.files import replace_whole, write_text
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.keeping import RUNS
@@ -24,7 +25,6 @@ from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
-from vislam.terminal import Terminal
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 1

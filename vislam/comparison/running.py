@@ -8,6 +8,7 @@ import numpy as np
 
 from vislam.base.errors import ConfigError, DivergedError, Interrupted
 from vislam.base.types import Array, BoolArray
+from vislam.cli.console import Terminal
 from vislam.comparison.keeping import Keeper
 from vislam.comparison.members import Unbuilt
 from vislam.core.estimator import Estimator
@@ -15,7 +16,6 @@ from vislam.core.observation_set import FrozenList
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.estimators import loop
-from vislam.terminal import Terminal
 
 _IDENTITY_DIGITS = 16
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from vislam.base.errors import DataError
 from vislam.base.files import open_regular
-from vislam.command import Parser, answer
+from vislam.cli.command import Parser, answer
 
 _ROWS = (
     ("ate_rmse", "ATE, SE(3) aligned [m]", 2),

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vislam.base.errors import ConfigError
-from vislam.command import Parser, add_override_options, answer, load_config
+from vislam.cli.command import Parser, add_override_options, answer, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,10 +67,10 @@ def _study(options: argparse.Namespace) -> int:
     _refuse_bad(options)
     config = load_config(options)
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
+    from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.study.cluster import Cluster  # noqa: PLC0415
     from vislam.study.conduct import conduct  # noqa: PLC0415
     from vislam.study.connection import Tls  # noqa: PLC0415
-    from vislam.terminal import Terminal  # noqa: PLC0415
 
     tls = None if options.tls_ca is None else Tls(options.tls_ca, options.tls_cert, options.tls_key)
     cluster = Cluster(

@@ -10,6 +10,7 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.files import folder_name
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import provenance
 from vislam.comparison.config import LONGEST_NAME, Config, parse
@@ -25,7 +26,6 @@ from vislam.study.plan import Plan
 from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
 from vislam.study.trials import Trials
-from vislam.terminal import Terminal
 
 SCHEMA_VERSION = 1
 _STARTS = 4

@@ -12,6 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from vislam.base.errors import Interrupted, first_line
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import run_comparison
 from vislam.comparison.config import Config
@@ -20,7 +21,6 @@ from vislam.comparison.open import open_dataset
 from vislam.datasets.find import search_path
 from vislam.evaluation import evaluate
 from vislam.evaluation.statistics import Statistic
-from vislam.terminal import Terminal
 
 DONE, FAILED = "done", "failed"
 _PASSING = (

@@ -16,9 +16,9 @@ from vislam.base.errors import INTERRUPTED, ConfigError, DataError, DivergedErro
 from vislam.base.files import check_writable
 from vislam.base.legible import one_line, quoted
 from vislam.base.yaml_text import parse_yaml
-from vislam.streams import lasting_streams
+from vislam.cli.streams import lasting_streams
 
-_log = logging.getLogger("vislam.command")
+_log = logging.getLogger("vislam.cli.command")
 
 
 class Parser(argparse.ArgumentParser):
