@@ -2,8 +2,9 @@
 
 A track is triangulated in the earlier frame and seen from the later. Each residual has a covariance of its
 own: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
-the point at a wrong depth and comes again in the later disparity. :func:`vislam.core.rigid_fit.fit_rigid`, by which
-the repairs vote, knows none of these: its spread depends on the disparity alone, and its scale is fitted.
+the point at a wrong depth and comes again in the later disparity. :func:`vislam.core.rigid_fit.fit_rigid`,
+by which the repairs vote, knows none of these: its spread depends on the disparity alone, and its scale is
+fitted.
 """
 
 from dataclasses import dataclass

@@ -285,7 +285,7 @@ def process(prelude, server, cache):
     script = f"""
 import sys
 from tests.cli.test_fetch import pinned
-from vislam.data.download import RECORDINGS, Recording
+from vislam.datasets.download import RECORDINGS, Recording
 from vislam.fetch import main
 RECORDINGS["tiny"] = Recording(title="made up", files=(pinned(),))
 {prelude}

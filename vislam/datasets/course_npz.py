@@ -25,7 +25,7 @@ _MOST_SMALL_VALUES = 1 << 22
 _MOST_SEEN_VALUES = 1 << 24
 """Values of ``features`` that are no sentinels, four an observation; more would take gigabytes to sort."""
 _LARGEST_STAMP = 1e20
-"""Nanoseconds since 1970 are read, to be told from seconds by their steps (``vislam.comparison.plausibility``)."""
+"""Nanoseconds since 1970 are read, to be told from seconds by their steps."""
 _LARGEST_NUMBER = 1e6
 """Of pixels and lengths [px, m]: beyond it a number is no measurement, and squares of squares overflow."""
 _LARGEST_TWIST = 200.0

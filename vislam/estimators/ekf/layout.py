@@ -1,7 +1,7 @@
 """Where things stand in the filter's joint state: navigation first, then the landmarks.
 
-Pose and bias are those of :mod:`vislam.models.odometry`; behind them stand parameters that are estimated where their
-prior is not zero, and cost next to nothing where it is.
+Pose and bias are those of :mod:`vislam.models.odometry`; behind them stand parameters that are estimated
+where their prior is not zero, and cost next to nothing where it is.
 """
 
 CLOCK = 12

@@ -1,8 +1,8 @@
 """The measurements of the joint state: values and Jacobians of stereo sightings, and of the climb rate.
 
-A landmark is (q, e): three coordinates in a :mod:`chart <vislam.estimators.ekf.chart>`, and the share e by which its
-disparity is too large because the right patch follows another point than the left one. With the point
-``h = (x, y, z, w)`` in the left camera, homogeneous,
+A landmark is (q, e): three coordinates in a :mod:`chart <vislam.estimators.ekf.chart>`, and the share e by
+which its disparity is too large because the right patch follows another point than the left one. With the
+point ``h = (x, y, z, w)`` in the left camera, homogeneous,
 
     uL = fx x / z + cx,    v = fy y / z + cy,    uL - uR = (1 + e) fx b w / z + o,
 

@@ -40,11 +40,11 @@ class FactorBuilder:
     """Factors of a :class:`Problem`, in the project's tangent order, which is GTSAM's.
 
     The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and
-    n of covariance ``dt diag(density^2)``: :func:`vislam.models.odometry.integrate` with the noise told on the twist.
-    GTSAM has it as a part of its white-noise-on-acceleration prior (Anderson and Barfoot, IROS 2015), between
-    a pose and a twist before and after. Its twist after the step is here a variable of its own, ``V(k)``, in
-    no other factor: it takes up the other half of the error whatever that is, and of the first half, whose
-    covariance is ``dt^3 / 3 Qc``, nothing is lost.
+    n of covariance ``dt diag(density^2)``: :func:`vislam.models.odometry.integrate` with the noise told on
+    the twist. GTSAM has it as a part of its white-noise-on-acceleration prior (Anderson and Barfoot, IROS
+    2015), between a pose and a twist before and after. Its twist after the step is here a variable of its
+    own, ``V(k)``, in no other factor: it takes up the other half of the error whatever that is, and of the
+    first half, whose covariance is ``dt^3 / 3 Qc``, nothing is lost.
 
     As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``.
 
