@@ -7,9 +7,9 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from baselines.twist import Integration, step_twist
+from vislam.base import settings
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray
-from vislam.comparison import config
 from vislam.comparison.config import Six
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
@@ -30,7 +30,7 @@ class DeadReckoningOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
     """Build dead reckoning from a problem and the options of its config section."""
-    parsed = config.parse(DeadReckoningOptions, dict(options), at="estimators.dead_reckoning")
+    parsed = settings.parse(DeadReckoningOptions, dict(options), at="estimators.dead_reckoning")
     return DeadReckoning(problem, parsed)
 
 

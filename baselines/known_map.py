@@ -10,9 +10,9 @@ from scipy.stats import chi2
 
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, Sightings, look, pixel_variances
+from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.geometry import se3
@@ -41,7 +41,7 @@ class KnownMapOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "KnownMap":
     """Build the localisation from a problem and the options of its config section."""
-    return KnownMap(problem, config.parse(KnownMapOptions, dict(options), at="estimators.known_map"))
+    return KnownMap(problem, settings.parse(KnownMapOptions, dict(options), at="estimators.known_map"))
 
 
 class KnownMap:

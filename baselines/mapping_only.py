@@ -12,9 +12,9 @@ from baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
 from baselines.landmarks import Landmarks, initialise, update
 from baselines.saved import SavedRun
 from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
+from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray
-from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 
@@ -33,7 +33,7 @@ class MappingOnlyOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "MappingOnly":
     """Build the mapping from a problem and the options of its config section."""
-    parsed = config.parse(MappingOnlyOptions, dict(options), at="estimators.mapping_only")
+    parsed = settings.parse(MappingOnlyOptions, dict(options), at="estimators.mapping_only")
     return MappingOnly(problem, parsed)
 
 

@@ -16,9 +16,9 @@ from scipy.stats import chi2
 from baselines.landmarks import Landmarks, initialise
 from baselines.sightings import NEAREST, pixel_variances
 from baselines.twist import Integration, step_twist
+from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.geometry import se3, so3
@@ -72,7 +72,7 @@ class ReportEkfOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "ReportEkf":
     """Build the filter from a problem and the options of its config section."""
-    return ReportEkf(problem, config.parse(ReportEkfOptions, dict(options), at="estimators.report_ekf"))
+    return ReportEkf(problem, settings.parse(ReportEkfOptions, dict(options), at="estimators.report_ekf"))
 
 
 class ReportEkf:

@@ -8,9 +8,9 @@ from pydantic.dataclasses import dataclass
 
 from baselines.sightings import SMALLEST_DISPARITY
 from baselines.stereo_step import Prior, StepFit, fit_step
+from vislam.base import settings
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.comparison import config
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.rigid_fit import FEWEST
 from vislam.core.sequence import Frame
@@ -29,7 +29,7 @@ class StereoVoOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "StereoVo":
     """Build the stereo odometry from a problem and the options of its config section."""
-    return StereoVo(problem, config.parse(StereoVoOptions, dict(options), at="estimators.stereo_vo"))
+    return StereoVo(problem, settings.parse(StereoVoOptions, dict(options), at="estimators.stereo_vo"))
 
 
 class StereoVo:

@@ -111,13 +111,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     terminal, started = Terminal(), time.perf_counter()
     document: dict[str, Any] = {"drives": options.drives, "frames": options.frames, "levels": {}}
     with _side_by_side(options.processes) as mapped:
-        for name in options.levels:
+        for done, name in enumerate(options.levels, start=1):
             outcomes = []
             jobs = mapped(measure, repeat(name), range(options.drives), repeat(options.frames))
-            with terminal.progress(name, options.drives) as bar:
+            with terminal.bar(name, options.drives) as bar:
                 for outcome in jobs:
                     outcomes.append(outcome)
-                    bar.advance(bar.task_ids[0])
+                    bar.done(done)
             found = summaries(outcomes)
             _print(terminal, name, found)
             document["levels"][name] = {"noise": asdict(LEVELS[name]), "estimators": _plain(found)}

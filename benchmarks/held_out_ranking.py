@@ -117,12 +117,12 @@ def measure(drive: Drive, variants: Mapping[str, Variant], *, seed: int) -> Rank
     mask = hold_out(sequence.track, share=SHARE, seed=seed)
     held, given = HeldOut.of(sequence, mask), Given.without(drive, mask)
     found = {}
-    with Terminal().progress("runs", len(variants)) as bar:
+    with Terminal().bar("runs", len(variants)) as bar:
         for done, (name, variant) in enumerate(variants.items(), start=1):
             found_poses = variant.run(name, given).world_T_imu
             wrong = errors(found_poses, reference, sequence.rig)
             found[name] = Ranked(wrong, score(held, found_poses))
-            bar.update(0, completed=done)  # type: ignore[arg-type]
+            bar.done(done)
     own = score(held, poses(reference), frame=reference.frame)
     return Ranking(drive.name, found, reference.name, own)
 

@@ -20,15 +20,14 @@ from benchmarks.telling import tell
 from benchmarks.timing import Part
 from vislam.base.errors import ConfigError
 from vislam.base.files import check_writable
+from vislam.base.progress import Silent
 from vislam.cli.command import answer
-from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.study.cluster import Cluster, run_trials
 from vislam.study.conduct import conclude
 from vislam.study.folder import StudyFolder
 from vislam.study.plan import Plan
-from vislam.study.settings import StudyConfig
 
 WORKERS = (1, 2)
 TARGET = 1.8
@@ -98,7 +97,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 def run(config: Config, *, trials: int, repeats: int, out: Path | None) -> None:
     """Measure, print, and write the numbers to ``out``."""
-    plan = Plan.of(replace(config, study=StudyConfig(seeds=trials)))
+    plan = Plan.of(replace(config, study={"seeds": trials}))
     tell({"scaling": lambda: measure(plan, repeats=repeats)}, out=out)
 
 
@@ -158,7 +157,7 @@ def timed(plan: Plan, workers: int) -> Timed:
                 folder.save(trial, result)
             done, own, cpu = time.perf_counter(), time.process_time() - own, _cpu(client) - cpu
         closed = time.perf_counter()
-        conclude(plan, folder, Terminal(quiet=True))
+        conclude(plan, folder, Silent())
         end = time.perf_counter()
     return Timed(
         workers=workers,

@@ -56,7 +56,7 @@ def scripted(monkeypatch):
 
 def compared(config, folder, **changes):
     config = replace(config, seed=3, held_out=HeldOutConfig(share=0.0), **changes)
-    return compare(config, out=folder, data_dir=None, allow_stand_in=True, terminal=Terminal(), report=False)
+    return compare(config, out=folder, data_dir=None, allow_stand_in=True, progress=Terminal(), report=False)
 
 
 def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config: Config, tmp_path):

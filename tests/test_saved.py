@@ -18,14 +18,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vislam import compare, evaluate
-from vislam.base import archive
-from vislam.base.archive import read_archive
 from vislam.base.errors import DataError
 from vislam.base.npy import PackedArray
-from vislam.base.schema import Numbers, Plain, real, whole
-from vislam.core import record, run
+from vislam.core import archive, record, run
+from vislam.core.archive import read_archive
 from vislam.core.record import Record
 from vislam.core.run import Run
+from vislam.core.schema import Numbers, Plain, real, whole
 
 CONFIG = """\
 name: small

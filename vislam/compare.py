@@ -1,90 +1,10 @@
-"""``python -m vislam.compare``: run estimators on identical information, score and report.
+"""``python -m vislam.compare``: the command ``vislam compare``."""
 
-Each run is saved when it has ended. The same command resumes from what is there; --fresh starts over.
-Exit codes: 0 done, and all checks hold; 1 an estimator failed (what it had done is kept and marked, and the
-others are scored); 2 bad config or data, or saved results of other data; 3 no estimator failed, but a check
-does not hold; 130 interrupted by Ctrl-C or SIGTERM (what had finished is kept, scored and reported).
-"""
-
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
-from vislam.cli.command import (
-    Parser,
-    add_check_options,
-    add_config_options,
-    answer,
-    load_config,
-    refuse_bad_check_options,
-)
+from vislam.cli.compare import main
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
-    return answer(lambda: _compare(options), verbose=options.verbose)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(prog="python -m vislam.compare", description=__doc__)
-    add_config_options(parser)
-    add = parser.add_argument
-    add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
-    add("--estimators", help="comma-separated names, in place of the config's")
-    add_check_options(parser)
-    add("--fresh", action="store_true", help="run again what an earlier start of the same has finished")
-    add("--dump-config", action="store_true", help="print the effective configuration and stop")
-    return parser
-
-
-def _compare(options: argparse.Namespace) -> int:
-    # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam.comparison import config as configuration  # noqa: PLC0415
-
-    refuse_bad_check_options(options)
-    config = load_config(options)
-    if options.estimators:
-        names = [name.strip() for name in options.estimators.split(",") if name.strip()]
-        chosen = {name: config.estimators.get(name, {}) for name in names}
-        config = _with_estimators(config, chosen)
-    if options.dump_config:
-        print(configuration.dump(config), end="")
-        return 0
-    from vislam.cli.console import Terminal  # noqa: PLC0415
-    from vislam.comparison.compare import compare  # noqa: PLC0415
-    from vislam.comparison.results import conclude  # noqa: PLC0415
-
-    outcome = compare(
-        config,
-        out=options.out,
-        data_dir=options.data_dir,
-        config_dir=options.config.parent,
-        allow_stand_in=not options.no_stand_in,
-        terminal=Terminal(),
-        against=options.against,
-        tolerance=options.tolerance,
-        report=not options.no_report,
-        fresh=options.fresh,
-    )
-    return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
-
-
-def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:
-    """Choose estimators, and say how many checks of others that leaves out."""
-    from vislam.comparison import config as configuration  # noqa: PLC0415
-
-    chosen = configuration.with_estimators(config, estimators)
-    left_out = len(config.checks) - len(chosen.checks)
-    if left_out:
-        print(
-            f"{left_out} of {len(config.checks)} checks need estimators that do not run, and are left out",
-            file=sys.stderr,
-        )
-    return chosen
-
+__all__ = ["main"]
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,100 +1,10 @@
-"""``python -m vislam.inspect``: what is wrong with a recording, from the data alone, and what answers it.
+"""``python -m vislam.inspect``: the command ``vislam inspect``."""
 
-Exit codes: 0 done, whatever was found; 2 bad config or data. With ``--strict`` a fault is exit code 3.
-"""
-
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
-from vislam.cli.command import Parser, add_config_options, answer, overrides
+from vislam.cli.inspect import main
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
-    return answer(lambda: _inspect(options), verbose=options.verbose)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(prog="python -m vislam.inspect", description=__doc__)
-    add_config_options(parser, required=False)
-    add = parser.add_argument
-    add("--file", type=Path, help="a course file (.npz) in place of a config")
-    add("--out", type=Path, default=Path("inspection"), help="folder of the results (default: inspection)")
-    add("--write-config", type=Path, metavar="FILE", help="write the config with all that is proposed")
-    add("--strict", action="store_true", help="exit with 3 if a fault was found")
-    return parser
-
-
-def _inspect(options: argparse.Namespace) -> int:
-    # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam.base.errors import ConfigError, DataError  # noqa: PLC0415
-    from vislam.base.files import check_writable, write_text  # noqa: PLC0415
-    from vislam.cli.console import Terminal  # noqa: PLC0415
-    from vislam.comparison import config as configuration  # noqa: PLC0415
-    from vislam.comparison.open import open_dataset  # noqa: PLC0415
-    from vislam.datasets.find import search_path  # noqa: PLC0415
-    from vislam.inspection import inspect_sequence  # noqa: PLC0415
-    from vislam.inspection.checks import unrepaired  # noqa: PLC0415
-    from vislam.inspection.page import write_inspection  # noqa: PLC0415
-    from vislam.inspection.written import proposed_config  # noqa: PLC0415
-
-    if (options.config is None) == (options.file is None):
-        raise ConfigError("one of --config and --file must be given")
-    home = None if options.config is None else options.config.parent
-    tree = configuration.read(options.config) if options.config else _tree(options.file, options.data_dir)
-    for dotted, value in overrides(options).items():
-        configuration.put(tree, dotted, value)
-    config = configuration.parse(configuration.Config, tree)
-    for path in (options.out / "inspection.json", options.write_config):
-        if path is not None:
-            check_writable(path)
-    terminal = Terminal()
-    dataset = open_dataset(
-        unrepaired(config).data,
-        seed=config.seed,
-        data_dir=options.data_dir,
-        config_dir=home,
-        allow_stand_in=not options.no_stand_in,
-    )
-    if dataset.sequence.stand_in:
-        terminal.note(dataset.notes[0])
-    if dataset.sequence.observations == 0:
-        raise DataError(f"{dataset.sequence.name}: no stereo observation is in it")
-    result = inspect_sequence(dataset.sequence, config)
-    for finding in result.findings:
-        terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
-    write_inspection(options.out, result, stand_in=dataset.sequence.stand_in)
-    terminal.note(f"written: {options.out / 'inspection.json'} and figures")
-    if result.proposal:
-        terminal.note("proposed:")
-        for dotted, value in result.proposal.items():
-            terminal.note(f"  {dotted}: {configuration.inline(value)}")
-    if options.write_config is not None:
-        folders = search_path(options.data_dir, config_dir=home)
-        text = proposed_config(tree, result, folders=folders, written_to=options.write_config)
-        write_text(options.write_config, text)
-        terminal.note(f"config: {options.write_config}")
-    return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
-
-
-def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
-    """Config of a bare file: nothing repaired, so that every trap is found."""
-    from vislam.base.errors import DataError  # noqa: PLC0415
-    from vislam.comparison.config import LONGEST_NAME  # noqa: PLC0415
-    from vislam.datasets.find import find_file, not_found, search_path  # noqa: PLC0415
-
-    # Beside --data-dir a file is where the command line says; a bare name is looked for as a config's is.
-    folders = [*([] if data_dir is None else [data_dir]), Path(), *search_path(data_dir)]
-    found = find_file(str(file), folders)
-    if found is None:
-        raise DataError(not_found(str(file), folders))
-    nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
-    return {"name": file.stem[:LONGEST_NAME], "data": {"file": str(found.resolve()), "repair": nothing}}
-
+__all__ = ["main"]
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -54,7 +54,7 @@ def test_a_comparison_does_all_its_work(how, tmp_path):
         (["compare", "--config", TINY, "--dump-config"], 0),
         (["compare", "--nothing"], 2),
         (["simulate", "--config", "nowhere.yaml", "--out", "a.npz"], 2),
-        (["report.markdown", "nowhere"], 2),
+        (["cli.table", "nowhere"], 2),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )

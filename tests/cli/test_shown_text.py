@@ -13,8 +13,8 @@ import yaml
 
 from vislam import compare, evaluate, inspect
 from vislam.base.files import folder_name
+from vislam.base.settings import LONGEST_NAME
 from vislam.cli.console import Terminal
-from vislam.comparison.config import LONGEST_NAME
 
 ROOT = Path(__file__).parents[2]
 DRIVE = {"frames": 12, "tracks_in_view": 15}
@@ -117,8 +117,8 @@ def test_a_terminal_is_not_obeyed(case, capsys):
     terminal = Terminal()
     terminal.note(EVIL[case])
     terminal.rows([EVIL[case]], [[EVIL[case]]], title=EVIL[case])
-    with terminal.progress(EVIL[case], 3) as bar:
-        bar.update(0, completed=2)
+    with terminal.bar(EVIL[case], 3) as bar:
+        bar.done(2)
     assert_plain(capsys.readouterr().out)
 
 
@@ -126,8 +126,8 @@ BAR = """
 import sys
 from html import escape
 from vislam.terminal import Terminal
-with Terminal().progress(sys.argv[1], 3) as bar:
-    bar.update(0, completed=2)
+with Terminal().bar(sys.argv[1], 3) as bar:
+    bar.done(2)
     bar.refresh()
 """
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ReferenceConfig
 from vislam.datasets.export import write_kitti, write_npz, write_tum
+from vislam.datasets.settings import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 from vislam.estimators.ekf import build
 from vislam.estimators.loop import run

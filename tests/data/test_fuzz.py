@@ -14,10 +14,10 @@ from tests.cli.test_compare import config_file, course_file
 from vislam import repair
 from vislam.base.errors import DataError
 from vislam.compare import main
-from vislam.comparison.config import ReferenceConfig
 from vislam.datasets import course_npz
 from vislam.datasets.course_npz import load_course_npz
 from vislam.datasets.oxts import with_oxts
+from vislam.datasets.settings import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 
 MOST_MEMORY = 40e6

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tests.cli.test_compare import course_file
 from vislam.base.errors import DataError
+from vislam.base.progress import Silent
 from vislam.calibration import calibrate
-from vislam.cli.console import Terminal
 from vislam.compare import main
 from vislam.comparison.compare import run_comparison
 from vislam.comparison.config import Config, DataConfig
@@ -147,7 +147,7 @@ def test_every_program_refuses_with_the_same_line(tmp_path, capsys):
     config = Config(name="c", data=DataConfig(file="drive.npz"))
     dataset = open_dataset(config.data, seed=0, data_dir=tmp_path)
     for run in (
-        lambda: run_comparison(config, dataset, Terminal(quiet=True)),
+        lambda: run_comparison(config, dataset, Silent()),
         lambda: calibrate(config, dataset, []),
     ):
         with pytest.raises(DataError, match="time_stamps look like milliseconds"):

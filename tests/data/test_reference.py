@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import ConfigError, DataError
-from vislam.comparison.config import ReferenceConfig
+from vislam.datasets.settings import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 

@@ -10,10 +10,11 @@ from tests.conftest import recorded
 from vislam.comparison.open import Dataset
 from vislam.core.sequence import Sequence
 from vislam.datasets.course_npz import load_course_npz
+from vislam.geometry.axes import axes_rotation
 from vislam.models import StereoRig
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus, step_residuals
-from vislam.repair.mounting import Axes, Baseline, Extrinsic, axes_rotation
+from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import Interruptions, StaleTracks, Thinning, stale_observations
 from vislam.simulation import SimulationConfig, simulate

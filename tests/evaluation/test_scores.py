@@ -21,7 +21,7 @@ def results(short_config: Config, tmp_path_factory) -> Results:
     config = replace(short_config, seed=3, estimators=sections)
     terminal, out = Terminal(), tmp_path_factory.mktemp("scores")
     return compare(
-        config, out=out, data_dir=None, allow_stand_in=True, terminal=terminal, report=False
+        config, out=out, data_dir=None, allow_stand_in=True, progress=terminal, report=False
     ).results
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vislam.base.errors import ConfigError
+from vislam.base.settings import parse
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.study.points import Point, all_points, all_trials, point_values
@@ -165,4 +166,4 @@ def test_ids_tell_the_files_apart_that_a_config_names(short_config, tmp_path):
 def test_the_points_of_what_comes_along_differ(path):
     config = configuration.load(path)
     if config.study is not None:
-        assert all_points(config, config.study)
+        assert all_points(config, parse(StudyConfig, config.study, at="study"))

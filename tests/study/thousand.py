@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from tests.study.synthetic import record
-from vislam.cli.console import Terminal
+from vislam.base.progress import Silent
 from vislam.comparison.config import Config, DataConfig
 from vislam.comparison.identity import code_digest
 from vislam.simulation import SimulationConfig
@@ -18,7 +18,6 @@ from vislam.study.cluster import Cluster, run_trials
 from vislam.study.conduct import conclude
 from vislam.study.folder import StudyFolder
 from vislam.study.plan import Plan
-from vislam.study.settings import StudyConfig
 
 NUMBERS = (100, 1000)
 RUNS = ("dead_reckoning", "ekf", "eks", "isam2")
@@ -39,7 +38,7 @@ def planned(number):
             name="thousand",
             data=DataConfig(simulation=SimulationConfig()),
             estimators={name: {} for name in RUNS},
-            study=StudyConfig(seeds=number),
+            study={"seeds": number},
         )
     )
 
@@ -57,7 +56,7 @@ def main(path):
     # Once before: what is imported and cached on the way does not count.
     for number in (NUMBERS[0], *NUMBERS):
         tracemalloc.start()
-        conclude(planned(number), folder, Terminal(quiet=True))
+        conclude(planned(number), folder, Silent())
         concluded.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
     print(*concluded[1:])

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 from vislam.base.errors import ConfigError
 from vislam.checks.saved import Saved
 from vislam.checks.settings import SAVED, Check, refuse_unknown
-from vislam.comparison.config import Config
 from vislam.core.reference import Reference
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation
@@ -47,6 +47,25 @@ class Verdict:
         return asdict(self)
 
 
+class Demanding(Protocol):
+    """A config, as far as it demands something of results."""
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """What is demanded."""
+        ...
+
+    @property
+    def false_alarm_rate(self) -> float:
+        """Chance that consistent estimators fail a test."""
+        ...
+
+    @property
+    def estimators(self) -> Mapping[str, Any]:
+        """The runs, by their names."""
+        ...
+
+
 @dataclass(frozen=True)
 class Checklist:
     """All that is demanded of the results of a comparison.
@@ -65,7 +84,7 @@ class Checklist:
     saved: Saved | None = None
 
     @classmethod
-    def of(cls, config: Config, *, saved: Saved | None = None, tolerance: float = 0.05) -> "Checklist":
+    def of(cls, config: Demanding, *, saved: Saved | None = None, tolerance: float = 0.05) -> "Checklist":
         """Checklist of a config.
 
         With saved results, and no check of the config that uses them, no error may have become larger than
@@ -102,7 +121,7 @@ class Checklist:
 
 
 def read_checklist(
-    config: Config, *, against: Path | None, tolerance: float, schema_version: int
+    config: Demanding, *, against: Path | None, tolerance: float, schema_version: int
 ) -> Checklist:
     """Checklist of a config, and of saved results if they are named."""
     saved = None if against is None else Saved.read(against, schema_version=schema_version)

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from pydantic import Field, StrictBool, StrictFloat
 from pydantic.dataclasses import dataclass
 
+from vislam.base import settings
 from vislam.base.errors import ConfigError, DataError, first_line
 from vislam.base.files import open_regular
 from vislam.base.legible import brief
 from vislam.checks.settings import SAVED, Check
-from vislam.comparison import config as configuration
 
 _MOST_BYTES = 1 << 26
 """Largest ``metrics.json``; that of ten estimators has less than a hundredth."""
@@ -85,7 +85,7 @@ class Saved:
                 "write it anew with this version"
             )
         try:
-            found = configuration.parse(_Document, tree)
+            found = settings.parse(_Document, tree)
         except ConfigError as error:
             raise DataError(f"{path}: {brief(str(error))}") from None
         values = {(metric.estimator, metric.key): metric.value for metric in found.metrics}

@@ -1,16 +1,14 @@
-"""What a comparison shows in the terminal: notes, a progress bar, one table."""
+"""What the commands show in the terminal: notes, a progress bar, tables."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from vislam.base.legible import one_line
-from vislam.report.table import Table
 
 _FEWEST_COLUMNS = 100
 """Width of a table that goes to a file or a pipe."""
@@ -21,34 +19,32 @@ _REMEMBERED = 3600.0
 
 
 class Terminal:
-    """Prints to standard output, or not at all; the progress bar is quiet when that is no terminal."""
+    """Prints to standard output; the bar is quiet when that is no terminal."""
 
-    def __init__(self, *, quiet: bool = False) -> None:
-        self._quiet = quiet
-        self._console = Console(highlight=False, quiet=quiet)
+    def __init__(self) -> None:
+        self._console = Console(highlight=False)
         if not self._console.is_terminal:
-            self._console = Console(highlight=False, quiet=quiet, width=_FEWEST_COLUMNS)
+            self._console = Console(highlight=False, width=_FEWEST_COLUMNS)
 
     def note(self, text: str) -> None:
         """Print a line, whatever is in it."""
         self._console.print(one_line(text, limit=_LONGEST_NOTE), markup=False, soft_wrap=True)
 
     @contextmanager
-    def progress(self, title: str, total: int) -> Iterator[Progress]:
-        """Show a bar while the block works; ``update(0, completed=...)`` moves it."""
-        bar = Progress(
+    def bar(self, title: str, total: int) -> Iterator["_Bar"]:
+        """Show a bar while the block works."""
+        drawn = Progress(
             TextColumn("{task.description:16}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=self._console,
-            disable=self._quiet or not self._console.is_terminal,
+            disable=not self._console.is_terminal,
             transient=True,
             speed_estimate_period=_REMEMBERED,
         )
-        with bar:
-            bar.add_task(one_line(title), total=total)
-            yield bar
+        with drawn:
+            yield _Bar(drawn, drawn.add_task(one_line(title), total=total))
 
     def rows(self, header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str) -> None:
         """Print a table of text."""
@@ -59,7 +55,11 @@ class Terminal:
             drawn.add_row(*(Text(one_line(cell)) for cell in row))
         self._console.print(drawn)
 
-    def table(self, table: Table, *, title: str, path: Path) -> None:
-        """Print the closing table and where to read on."""
-        self.rows(table.header, table.rows, title=title)
-        self.note(f"{path.stem}: {path}")
+
+class _Bar:
+    def __init__(self, drawn: Progress, task: TaskID) -> None:
+        self._drawn, self._task = drawn, task
+
+    def done(self, count: int) -> None:
+        """Move to a count."""
+        self._drawn.update(self._task, completed=count)

@@ -12,9 +12,9 @@ import numpy as np
 
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.files import check_writable, folder_name
+from vislam.base.progress import Progress
 from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
-from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.identity import code_digest, inputs_digest
@@ -51,7 +51,7 @@ def compare(
     data_dir: Path | None,
     config_dir: Path | None = None,
     allow_stand_in: bool,
-    terminal: Terminal,
+    progress: Progress,
     against: Path | None = None,
     tolerance: float = 0.05,
     report: bool = True,
@@ -84,15 +84,15 @@ def compare(
         check_writable(folder / file)
     keeper = FolderKeeper(folder, fresh=fresh)
     keeper.clear()
-    prepared = prepare(config, dataset, terminal, keeper=keeper, identity=identity)
+    prepared = prepare(config, dataset, progress, keeper=keeper, identity=identity)
     if not fresh:
         prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
     Results(config, prepared.record, {}).begin(folder)
     results = prepared.run()
     if keeper.found:
-        terminal.note(f"kept from an earlier start (--fresh runs them again): {', '.join(keeper.found)}")
+        progress.note(f"kept from an earlier start (--fresh runs them again): {', '.join(keeper.found)}")
     published = publish(results, folder, checklist, report=report)
-    announce(results, published, terminal)
+    announce(results, published, progress)
     return Outcome(folder, results, published)
 
 
@@ -125,7 +125,7 @@ class Prepared:
 def prepare(
     config: Config,
     dataset: Dataset,
-    terminal: Terminal,
+    progress: Progress,
     *,
     keeper: Keeper | None = None,
     identity: str = "",
@@ -136,7 +136,7 @@ def prepare(
     ----------
     config : Config
     dataset : Dataset
-    terminal : Terminal
+    progress : Progress
     keeper : Keeper, optional
         Keeps each run as soon as it has ended; None: nothing is written.
     identity : str
@@ -152,14 +152,14 @@ def prepare(
     require_usable(dataset)
     estimators = build_estimators(config, dataset)
     for note in dataset.notes:
-        terminal.note(note)
+        progress.note(note)
     sigma = pixel_sigma(config, dataset)
     held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
     runner = Runner(
         dataset.sequence.select(~held),
         sigma[~held],
         config.blas_threads,
-        terminal,
+        progress,
         NoKeeper() if keeper is None else keeper,
         identity,
     )
@@ -172,7 +172,7 @@ def prepare(
     return Prepared(config, _record(dataset, sigma, held=held, frozen=frozen), runner, estimators)
 
 
-def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Results:
+def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Results:
     """Run the estimators of a config on what of the data is not held out; nothing is written.
 
     Raises
@@ -184,7 +184,7 @@ def run_comparison(config: Config, dataset: Dataset, terminal: Terminal) -> Resu
     Interrupted
         On Ctrl-C or SIGTERM.
     """
-    results = prepare(config, dataset, terminal).run()
+    results = prepare(config, dataset, progress).run()
     if results.interrupted:
         raise Interrupted
     return results

@@ -1,68 +1,37 @@
 """The configuration: a frozen tree of dataclasses, loaded from YAML once, every default a value."""
 
-import re
 from collections.abc import Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vislam.base.errors import ConfigError, first_line
 from vislam.base.fields import STRICT, NonNegative, Positive, Seed
-from vislam.base.files import open_regular
-from vislam.base.legible import one_line, quoted
-from vislam.base.yaml_text import DEEPEST, parse_yaml, unwritable
+from vislam.base.settings import Remark, Title, dump, inline, parse, put, read
 from vislam.checks.settings import Check
+from vislam.datasets.settings import ReferenceConfig
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
-from vislam.study.settings import StudyConfig
 
-Parsed = TypeVar("Parsed")
-
-STAMPED = ("tum", "euroc")
-"""Formats of a reference that name stamps, not frames."""
-LONGEST_NAME = 128
-"""Letters of the name of a comparison."""
-_WHOLE = ("estimators", "ladder")
-"""Sections in which the order matters: a config that extends another replaces them."""
-_MOST_BYTES = 1 << 18
-_MOST_FILES = 16
-"""Files that build on each other."""
-
-Title = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
-Remark = Annotated[str, Field(max_length=1000)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class ReferenceConfig:
-    """What a recorded run is scored against."""
-
-    file: str
-    """File name, searched for where the recording is."""
-    format: Literal["planar_xy", "kitti", "kitti360", "tum", "euroc"]
-    """``planar_xy``: lines of frame, x, y. ``kitti``: 12 numbers a line (3 x 4, row by row), one a frame.
-    ``kitti360``: the frame before the 12 numbers. ``tum``: stamp, x, y, z, qx, qy, qz, qw. ``euroc``: EuRoC's
-    ground truth, with commas: stamp [ns], x, y, z, qw, qx, qy, qz, then anything."""
-    name: Title
-    """Its name, as the report prints it."""
-    limits: Remark
-    """What it does not tell."""
-    pose_of: Literal["imu", "left_camera"] = "imu"
-    """What its positions and poses are those of."""
-    up: Literal["z", "-y"] = "z"
-    """Axis of its world that points up; "-y" where the world has a camera's axes, as in KITTI odometry."""
-    sigma_m: NonNegative = 0.0
-    """Standard deviation of its own positions [m]; the first poses of a run are surer than any survey."""
-    max_time_difference: Positive = 0.02
-    """Farthest that a stamp may be from the camera stamp it is taken for (``tum``, ``euroc``) [s]."""
-
-    def __post_init__(self) -> None:
-        """Refuse a plane whose normal is not up."""
-        if self.format == "planar_xy" and self.up != "z":
-            raise ValueError("a planar_xy reference lies in the plane across z: up must be z")
+__all__ = [
+    "ClimbConfig",
+    "Config",
+    "DataConfig",
+    "HeldOutConfig",
+    "InertialConfig",
+    "NoiseConfig",
+    "PackagedConfig",
+    "Six",
+    "dump",
+    "inline",
+    "load",
+    "parse",
+    "put",
+    "read",
+    "with_estimators",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -206,8 +175,9 @@ class Config:
     false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01
     """Chance that results of consistent estimators fail one of the tests among the checks, whichever; shared
     out evenly among the tests (Bonferroni)."""
-    study: StudyConfig | None = None
-    """How ``vislam.study`` repeats the comparison with other seeds and values; nothing else looks at it."""
+    study: dict[str, Any] | None = None
+    """How ``vislam.study`` repeats the comparison with other seeds and values, which it reads itself
+    (``vislam.study.settings``); nothing else looks at it."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Seed = 0
@@ -237,67 +207,6 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     return parse(Config, tree)
 
 
-def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a configuration file, laid over those it builds on, as plain data.
-
-    ``above`` are files that build on it. A ConfigError says what is wrong with it.
-    """
-    tree = _read_one(path)
-    base = tree.pop("extends", None)
-    if base is None:
-        return tree
-    if not isinstance(base, str):
-        raise ConfigError(f"{path}: extends: expected a file name, got {quoted(base)}")
-    if path.resolve() in above:
-        raise ConfigError(f"{path}: extends: the files build on each other in a circle")
-    if len(above) >= _MOST_FILES:
-        raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
-    return _over(read(path.parent / base, above=(*above, path.resolve())), tree)
-
-
-def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Lay one tree over another."""
-    merged = dict(base)
-    for key, value in own.items():
-        inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key not in _WHOLE
-        merged[key] = _over(merged[key], value) if inside else value
-    return merged
-
-
-def _read_one(path: Path) -> dict[str, Any]:
-    try:
-        with open_regular(path) as file:
-            content = file.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
-            raise ValueError(f"expected at most {_MOST_BYTES} bytes, got more")
-        tree = parse_yaml(content.decode("utf-8"))
-    except OSError as error:
-        raise ConfigError(one_line(f"{path}: cannot be read ({first_line(error)})")) from None
-    except ValueError as error:
-        raise ConfigError(one_line(f"{path}: not a YAML file ({first_line(error)})")) from None
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
-    return tree
-
-
-def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
-    """Turn plain data into a dataclass; a ConfigError names the dotted path, what is wrong and what came."""
-    if (wrong := unwritable(tree)) is not None:
-        where = one_line(".".join([*([at] if at else []), *wrong[0]]) or "config", limit=200)
-        raise ConfigError(f"{where}: {wrong[1]}")
-    try:
-        return TypeAdapter(kind).validate_python(tree)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join([*([at] if at else []), *(str(part) for part in first["loc"])])
-        where = one_line(where or "config", limit=200)
-        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-            raise ConfigError(f"{where}: unknown key; {_known(kind, first['loc'])}") from None
-        message = one_line(re.sub(r"^Value error, ", "", first["msg"]), limit=500)
-        got = "" if isinstance(first["input"], dict) else f", got {quoted(first['input'])}"
-        raise ConfigError(f"{where}: {message}{got}") from None
-
-
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
     """Return the configuration with other estimators.
 
@@ -306,53 +215,3 @@ def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Co
     ladder = config.ladder if config.ladder.keys() <= estimators.keys() else {}
     checks = tuple(check for check in config.checks if estimators.keys() >= set(check.runs))
     return replace(config, estimators=estimators, ladder=ladder, checks=checks)
-
-
-def dump(config: Config) -> str:
-    """YAML of the effective configuration, defaults filled in."""
-    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-def _known(kind: Any, location: tuple[int | str, ...]) -> str:
-    """Say which keys the section of an unknown key has."""
-    for part in location[:-1]:
-        if isinstance(part, int):
-            # An item of a list, whose section the list has already named.
-            continue
-        inside = _section(kind.__dataclass_fields__[part].type)
-        kind = kind if inside is None else inside
-    return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
-
-
-def _section(annotation: Any) -> Any:
-    """Find the config section that an annotation holds, or None."""
-    if hasattr(annotation, "__dataclass_fields__"):
-        return annotation
-    return next((found for part in get_args(annotation) if (found := _section(part)) is not None), None)
-
-
-def inline(value: Any) -> str:
-    """One line of YAML."""
-    return yaml.safe_dump(_plain(value), default_flow_style=True).splitlines()[0]
-
-
-def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
-    """Set a value of a tree of plain data by its dotted path; ConfigError if that leads nowhere."""
-    *parents, last = dotted.split(".")
-    if not all((*parents, last)) or len(parents) >= DEEPEST:
-        raise ConfigError(f"{quoted(dotted)}: expected a key, or keys joined by single dots")
-    for part in parents:
-        if tree.get(part) is None or tree[part] is True:
-            # A section that is left empty, or a step that is switched on with its defaults.
-            tree[part] = {}
-        tree = tree[part]
-        if not isinstance(tree, dict):
-            where = one_line(dotted, limit=200)
-            raise ConfigError(f"{where}: {quoted(part)} is a value and has no keys below it")
-    tree[last] = value

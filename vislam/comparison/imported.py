@@ -10,10 +10,10 @@ import numpy as np
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.comparison import config as configuration
-from vislam.comparison.config import ReferenceConfig
 from vislam.comparison.results import Results
 from vislam.core.record import Record
 from vislam.core.run import Run
+from vislam.datasets.settings import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
 

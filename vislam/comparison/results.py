@@ -10,9 +10,9 @@ from typing import Any
 
 from vislam.base.errors import INTERRUPTED, DataError
 from vislam.base.files import replace_whole, write_text
+from vislam.base.progress import Progress
 from vislam.checks.judge import Checklist, Verdict
 from vislam.checks.junit import write_junit
-from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.keeping import RUNS
@@ -213,21 +213,22 @@ def metrics_document(
     }
 
 
-def announce(results: Results, published: Published, terminal: Terminal) -> None:
+def announce(results: Results, published: Published, progress: Progress) -> None:
     """Print the closing table, where to read on, and what must not be overlooked."""
     table = comparison_table(results.runs, published.evaluation, keys=SHORT)
-    terminal.table(table, title=results.title, path=published.path)
+    progress.rows(table.header, table.rows, title=results.title)
+    progress.note(f"{published.path.stem}: {published.path}")
     if told := results.frozen_told():
-        terminal.note(told)
+        progress.note(told)
     for name, run in results.runs.items():
         if not run.complete:
-            terminal.note(f"{name} is incomplete: {run.error}")
+            progress.note(f"{name} is incomplete: {run.error}")
             _log.info("%s: %s", name, run.traceback)
     for name in results.runs:
         for reason in published.evaluation.degenerate(name):
-            terminal.note(f"{name} is degenerate and not ranked: {reason}")
+            progress.note(f"{name} is degenerate and not ranked: {reason}")
     for verdict in published.verdicts:
-        terminal.note(verdict.line())
+        progress.note(verdict.line())
 
 
 def conclude(results: Results, published: Published, *, junit: Path | None, rerun: Path | None) -> int:

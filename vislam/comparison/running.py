@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.errors import ConfigError, DivergedError, Interrupted
+from vislam.base.progress import Progress
 from vislam.base.types import Array, BoolArray
-from vislam.cli.console import Terminal
 from vislam.comparison.keeping import Keeper
 from vislam.comparison.members import Unbuilt
 from vislam.core.estimator import Estimator
@@ -30,7 +30,7 @@ class Runner:
     sigma : (n, 3)
         Standard deviation of each observation's (uL, uR, v) [px].
     blas_threads : int
-    terminal : Terminal
+    progress : Progress
         Shows how far they are.
     keeper : Keeper
         Is given each run as soon as it has ended, and may have it from an earlier start.
@@ -41,7 +41,7 @@ class Runner:
     sequence: Sequence
     sigma: Array
     blas_threads: int
-    terminal: Terminal
+    progress: Progress
     keeper: Keeper
     identity: str = ""
 
@@ -124,14 +124,14 @@ class Runner:
         if isinstance(solver, Unbuilt):
             return loop.not_run(name, self.sequence, solver.failure)
         title = f"{name}, for the list" if preparatory else name
-        with self.terminal.progress(title, len(self.sequence)) as bar:
+        with self.progress.bar(title, len(self.sequence)) as bar:
             found = loop.run(
                 solver,
                 self.sequence,
                 self.sigma,
                 name=name,
                 refused=refused,
-                on_frame=lambda k: bar.update(0, completed=k + 1),  # type: ignore[arg-type]
+                on_frame=lambda k: bar.done(k + 1),
                 blas_threads=self.blas_threads,
             )
         return replace(found, identity=identity)

@@ -7,11 +7,15 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from vislam.base.archive import read_archive
 from vislam.base.errors import DataError
 from vislam.base.files import save_archive
 from vislam.base.legible import brief
-from vislam.base.schema import (
+from vislam.base.types import Array, IntArray
+from vislam.core.archive import read_archive
+from vislam.core.observation_set import FrozenList
+from vislam.core.reference import Reference
+from vislam.core.run import Run
+from vislam.core.schema import (
     IDS,
     INCREASING,
     NOT_NEGATIVE,
@@ -29,10 +33,6 @@ from vislam.base.schema import (
     real,
     whole,
 )
-from vislam.base.types import Array, IntArray
-from vislam.core.observation_set import FrozenList
-from vislam.core.reference import Reference
-from vislam.core.run import Run
 from vislam.core.sequence import Repair, Sequence
 from vislam.models import StereoRig
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.base.archive import read_archive
 from vislam.base.files import save_archive
-from vislam.base.schema import (
+from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.archive import read_archive
+from vislam.core.schema import (
     DIRECTION,
     IDS,
     INCREASING,
@@ -22,7 +23,6 @@ from vislam.base.schema import (
     real,
     whole,
 )
-from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3, so3
 
 _TABLE: Table = {

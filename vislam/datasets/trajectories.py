@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
-from vislam.comparison.config import STAMPED, ReferenceConfig
 from vislam.core.reference import Reference
+from vislam.datasets.settings import STAMPED, ReferenceConfig
 from vislam.datasets.text import read_table
 from vislam.geometry import se3, so3
 from vislam.models import CAMERA_AXES

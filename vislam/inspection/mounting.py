@@ -9,9 +9,10 @@ from vislam.base.types import Array
 from vislam.core.rigid_fit import continuations, inertial_steps
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
+from vislam.geometry.axes import axes_rotation
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
-from vislam.repair.mounting import Axes, Extrinsic, Reading, axes_rotation
+from vislam.repair.mounting import Axes, Extrinsic, Reading
 
 _CHECK = "axes and extrinsic"
 _PAIRS = 12_000

@@ -1,14 +1,6 @@
-"""``python -m vislam.report.markdown results/<id>/metrics.json``: the results table for a README."""
+"""The results table of a ``metrics.json`` for a README."""
 
-import json
-import sys
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
-
-from vislam.base.errors import DataError
-from vislam.base.files import open_regular
-from vislam.cli.command import Parser, answer
 
 _ROWS = (
     ("ate_rmse", "ATE, SE(3) aligned [m]", 2),
@@ -45,26 +37,3 @@ def results_table(document: dict[str, Any]) -> str:
     machine = f"{made['cpu']}, gtsam {made['gtsam']}, {made['date']}"
     lines += ["", f"{dataset['name']}{simulated} against {against}; {machine}."]
     return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = Parser(prog="python -m vislam.report.markdown", description=__doc__)
-    parser.add_argument("metrics", type=Path, help="metrics.json of a comparison")
-    options = parser.parse_args(arguments)
-    return answer(lambda: _print(options.metrics), verbose=False)
-
-
-def _print(path: Path) -> int:
-    with open_regular(path) as file:
-        content = file.read()
-    try:
-        table = results_table(json.loads(content))
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DataError(f"{path}: expected the metrics.json of a comparison, got {error!r}") from None
-    print(table)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,8 +8,8 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
+from vislam.geometry.axes import axes_rotation
 from vislam.models import CAMERA_AXES, StereoRig
-from vislam.repair.mounting import axes_rotation
 from vislam.simulation.path import BodyPath, DrivePath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks

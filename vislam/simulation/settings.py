@@ -6,7 +6,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, NonNegative, Positive, Probability, Vector3
-from vislam.repair.mounting import axes_rotation
+from vislam.geometry.axes import axes_rotation
 
 SigmaVector = tuple[NonNegative, NonNegative, NonNegative]
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.files import folder_name
-from vislam.cli.console import Terminal
+from vislam.base.progress import Progress
+from vislam.base.settings import LONGEST_NAME
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import provenance
-from vislam.comparison.config import LONGEST_NAME, Config, parse
+from vislam.comparison.config import Config, parse
 from vislam.study.ablation import CASE, slug
 from vislam.study.answers import COVERAGE, NEES
 from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
@@ -34,7 +35,7 @@ _SHOWN = frozenset((*ERRORS, *DETAILS, TIME, NEES, COVERAGE))
 """Metrics that the table and the page look at: a trial has hundreds, and each costs memory."""
 
 
-def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) -> int:
+def conduct(config: Config, *, out: Path, cluster: Cluster, progress: Progress) -> int:
     """Run what is missing of a study, write its table and return how many trials were lost.
 
     Raises
@@ -47,53 +48,53 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, terminal: Terminal) 
     folder = StudyFolder(out / plan.id)
     total = len(plan.points) * plan.study.seeds
     missing = sum(folder.find(trial) is None for trial in plan.trials())
-    terminal.note(f"{total} trials, {total - missing} of them are finished")
+    progress.note(f"{total} trials, {total - missing} of them are finished")
     if folder.refused:
-        terminal.note(
+        progress.note(
             f"{len(folder.refused)} files of trials are not taken, as they are not whole or say that they "
             "are of another trial; these trials run again"
         )
     if missing:
-        _run_missing(plan, folder, cluster, terminal, missing)
+        _run_missing(plan, folder, cluster, progress, missing)
     # Errors of 1e200 m, of runs that blew up, have an infinite mean.
     with np.errstate(over="ignore", invalid="ignore"):
-        return conclude(plan, folder, terminal)
+        return conclude(plan, folder, progress)
 
 
-def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, terminal: Terminal, number: int) -> None:
+def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, progress: Progress, number: int) -> None:
     """Run the ``number`` trials that have no result yet, as far as there are workers for them."""
     seen: set[str] = set()
     lost = False
     for start in range(_STARTS):
         try:
             with cluster.connect() as client:
-                terminal.note(watch_at(client))
+                progress.note(watch_at(client))
                 missing = (
                     trial
                     for trial in plan.longest_first().trials()
                     if trial.id not in seen and folder.find(trial) is None
                 )
-                running = run_trials(client, missing, patience=cluster.patience, say=terminal.note)
-                with terminal.progress("trials", number) as bar:
+                running = run_trials(client, missing, patience=cluster.patience, say=progress.note)
+                with progress.bar("trials", number) as bar:
                     for trial, result in running:
                         folder.save(trial, result)
                         seen.add(trial.id)
                         if result["status"] == LOST and not lost:
                             lost = True
-                            terminal.note(
+                            progress.note(
                                 f"lost, the first: seed {trial.seed}: {reason_line(result['reason'])}"
                             )
-                        bar.update(0, completed=len(seen))  # type: ignore[arg-type]
+                        bar.done(len(seen))
             return
         except WorkersGone as gone:
             last = not cluster.local or start == _STARTS - 1
             what = "what has finished is kept" if last else f"starting others ({start + 1} of {_STARTS - 1})"
-            terminal.note(f"{gone}; {what}")
+            progress.note(f"{gone}; {what}")
             if last:
                 return
 
 
-def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
+def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
     """Write ``trials.csv`` and ``study.json``, show the table, and count the lost trials.
 
     Raises
@@ -118,7 +119,7 @@ def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     }
     folder.write_json(folder.path / "study.json", document)
     title = f"vislam {plan.config.name}" + (" [SIMULATED]" if plan.simulated else "")
-    _show(plan, trials, terminal, title=title)
+    _show(plan, trials, progress, title=title)
     if plan.ablation is not None:
         _write_cases(plan, folder)
     page = folder.path / "study.html"
@@ -133,12 +134,12 @@ def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
             ablation=plan.ablation,
         )
     if lost:
-        terminal.note(
+        progress.note(
             f"{lost} trials were lost with their workers, or there was none left for them; run the study "
             "again to repeat them"
         )
-    terminal.note(f"trials: {folder.path / 'trials.csv'}")
-    terminal.note(f"study: {page}")
+    progress.note(f"trials: {folder.path / 'trials.csv'}")
+    progress.note(f"study: {page}")
     if len(trials) and not trials.any_complete:
         first = next(filter(None, trials.reason))
         raise DivergedError(
@@ -147,17 +148,17 @@ def conclude(plan: Plan, folder: StudyFolder, terminal: Terminal) -> int:
     return lost
 
 
-def _show(plan: Plan, trials: Trials, terminal: Terminal, *, title: str) -> None:
+def _show(plan: Plan, trials: Trials, progress: Progress, *, title: str) -> None:
     """Print the table, if it has a number, and why trials failed."""
     for line in reasons_of(trials):
-        terminal.note(line)
+        progress.note(line)
     if not trials.any_complete:
         return
     if plan.ablation is not None and errors(trials):
         table = short_table(trials, plan.ablation)
-        terminal.rows(table.header, table.rows, title=title)
+        progress.rows(table.header, table.rows, title=title)
     else:
-        terminal.rows(HEADER, rows_of(trials), title=title)
+        progress.rows(HEADER, rows_of(trials), title=title)
 
 
 def _records(plan: Plan, folder: StudyFolder, counts: Counter[str]) -> Iterator[dict[str, Any]]:

@@ -46,7 +46,7 @@ class Plan:
         """Plan the study of a config; ConfigError if there is none, or what it sweeps cannot be."""
         if config.study is None:
             raise ConfigError("study: the config has no such section; see configs/monte_carlo.yaml for one")
-        study = config.study
+        study = parse(StudyConfig, config.study, at="study")
         if config.seed + study.seeds > _MOST:
             raise ConfigError(f"seed: must be below {_MOST} with all that follow it, got {config.seed}")
         config, data, about = _settle_data(config, seeds=study.seeds)
@@ -76,7 +76,7 @@ class Plan:
     @property
     def id(self) -> str:
         """Hash of config, code and all files; with more seeds a study goes on, so they do not count."""
-        lasting = replace(self.config, seed=0, study=replace(self.study, seeds=1, metrics=()))
+        lasting = replace(self.config, seed=0, study=asdict(replace(self.study, seeds=1, metrics=())))
         inputs = sorted({point.inputs for point in self.points})
         digest = combine(json.dumps(asdict(lasting)), code_digest(), self.data, *inputs)
         return f"{folder_name(self.config.name)}-{digest}"

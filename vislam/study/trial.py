@@ -12,7 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from vislam.base.errors import Interrupted, first_line
-from vislam.cli.console import Terminal
+from vislam.base.progress import Silent
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import run_comparison
 from vislam.comparison.config import Config
@@ -93,7 +93,7 @@ def _unheard() -> Iterator[None]:
 
 def _measure(config: Config) -> dict[str, Any]:
     dataset = open_dataset(config.data, seed=config.seed, allow_stand_in=False)
-    results = run_comparison(config, dataset, Terminal(quiet=True))
+    results = run_comparison(config, dataset, Silent())
     # An incomplete run has errors of the frames it finished: they are not those of the others.
     complete = {name: run for name, run in results.runs.items() if run.complete}
     evaluation = evaluate(complete, results.record)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from vislam.comparison import config
+from vislam.base import settings
 from vislam.core.estimator import Problem
 from vislam.estimators.ekf.filter import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
@@ -22,7 +22,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
     """Build a member from a problem and the options of its config section."""
     return EkfEstimator(
-        problem, config.parse(EkfOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
+        problem, settings.parse(EkfOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     )
 
 

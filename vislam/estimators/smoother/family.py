@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from vislam.base import settings
 from vislam.base.errors import ConfigError
-from vislam.comparison import config
 from vislam.core.estimator import Problem
 from vislam.estimators.smoother.incremental import SmootherEstimator
 from vislam.estimators.smoother.options import SmootherOptions
@@ -24,7 +24,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
     """Build a member from a problem and the options of its config section."""
-    parsed = config.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
+    parsed = settings.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     if problem.disparity_offset_sigma > 0.0:
         raise ConfigError(
             f"estimators.{name}: GTSAM's stereo factor has no disparity offset as a variable; set "

@@ -1,6 +1,6 @@
 """The words in which a table says what a saved archive must hold: adding a field is one line in the table.
 
-A table maps the dotted path of each field to what it is; :mod:`vislam.base.archive` holds an archive to it.
+A table maps the dotted path of each field to what it is; :mod:`vislam.core.archive` holds an archive to it.
 """
 
 from collections.abc import Callable, Mapping

@@ -21,8 +21,8 @@ from vislam.base.errors import DataError, first_line
 from vislam.base.files import PLAIN
 from vislam.base.legible import brief
 from vislam.base.npy import ArrayError, PackedArray, open_array
-from vislam.base.schema import Item, Numbers, Plain, Section, Table
 from vislam.base.types import BoolArray
+from vislam.core.schema import Item, Numbers, Plain, Section, Table
 
 Tree = dict[str, Any]
 

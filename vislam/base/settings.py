@@ -1,0 +1,141 @@
+"""Settings of every room: YAML files laid over each other, parsed into frozen dataclasses, written again.
+
+What can be set stands beside what it sets; here is what they have in common.
+"""
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+import yaml
+from pydantic import Field, TypeAdapter, ValidationError
+
+from vislam.base.errors import ConfigError, first_line
+from vislam.base.files import open_regular
+from vislam.base.legible import one_line, quoted
+from vislam.base.yaml_text import DEEPEST, parse_yaml, unwritable
+
+Parsed = TypeVar("Parsed")
+
+LONGEST_NAME = 128
+"""Letters of a name."""
+_WHOLE = ("estimators", "ladder")
+"""Sections in which the order matters: a config that extends another replaces them."""
+_MOST_BYTES = 1 << 18
+_MOST_FILES = 16
+"""Files that build on each other."""
+
+Title = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
+Remark = Annotated[str, Field(max_length=1000)]
+
+
+def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a configuration file, laid over those it builds on, as plain data.
+
+    ``above`` are files that build on it. A ConfigError says what is wrong with it.
+    """
+    tree = _read_one(path)
+    base = tree.pop("extends", None)
+    if base is None:
+        return tree
+    if not isinstance(base, str):
+        raise ConfigError(f"{path}: extends: expected a file name, got {quoted(base)}")
+    if path.resolve() in above:
+        raise ConfigError(f"{path}: extends: the files build on each other in a circle")
+    if len(above) >= _MOST_FILES:
+        raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
+    return _over(read(path.parent / base, above=(*above, path.resolve())), tree)
+
+
+def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Lay one tree over another."""
+    merged = dict(base)
+    for key, value in own.items():
+        inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key not in _WHOLE
+        merged[key] = _over(merged[key], value) if inside else value
+    return merged
+
+
+def _read_one(path: Path) -> dict[str, Any]:
+    try:
+        with open_regular(path) as file:
+            content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise ValueError(f"expected at most {_MOST_BYTES} bytes, got more")
+        tree = parse_yaml(content.decode("utf-8"))
+    except OSError as error:
+        raise ConfigError(one_line(f"{path}: cannot be read ({first_line(error)})")) from None
+    except ValueError as error:
+        raise ConfigError(one_line(f"{path}: not a YAML file ({first_line(error)})")) from None
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: expected a mapping of keys, got {type(tree).__name__}")
+    return tree
+
+
+def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
+    """Turn plain data into a dataclass; a ConfigError names the dotted path, what is wrong and what came."""
+    if (wrong := unwritable(tree)) is not None:
+        where = one_line(".".join([*([at] if at else []), *wrong[0]]) or "config", limit=200)
+        raise ConfigError(f"{where}: {wrong[1]}")
+    try:
+        return TypeAdapter(kind).validate_python(tree)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join([*([at] if at else []), *(str(part) for part in first["loc"])])
+        where = one_line(where or "config", limit=200)
+        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            raise ConfigError(f"{where}: unknown key; {_known(kind, first['loc'])}") from None
+        message = one_line(re.sub(r"^Value error, ", "", first["msg"]), limit=500)
+        got = "" if isinstance(first["input"], dict) else f", got {quoted(first['input'])}"
+        raise ConfigError(f"{where}: {message}{got}") from None
+
+
+def dump(config: Any) -> str:
+    """YAML of the effective configuration, defaults filled in."""
+    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _known(kind: Any, location: tuple[int | str, ...]) -> str:
+    """Say which keys the section of an unknown key has."""
+    for part in location[:-1]:
+        if isinstance(part, int):
+            # An item of a list, whose section the list has already named.
+            continue
+        inside = _section(kind.__dataclass_fields__[part].type)
+        kind = kind if inside is None else inside
+    return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
+
+
+def _section(annotation: Any) -> Any:
+    """Find the config section that an annotation holds, or None."""
+    if hasattr(annotation, "__dataclass_fields__"):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _section(part)) is not None), None)
+
+
+def inline(value: Any) -> str:
+    """One line of YAML."""
+    return yaml.safe_dump(_plain(value), default_flow_style=True).splitlines()[0]
+
+
+def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
+    """Set a value of a tree of plain data by its dotted path; ConfigError if that leads nowhere."""
+    *parents, last = dotted.split(".")
+    if not all((*parents, last)) or len(parents) >= DEEPEST:
+        raise ConfigError(f"{quoted(dotted)}: expected a key, or keys joined by single dots")
+    for part in parents:
+        if tree.get(part) is None or tree[part] is True:
+            # A section that is left empty, or a step that is switched on with its defaults.
+            tree[part] = {}
+        tree = tree[part]
+        if not isinstance(tree, dict):
+            where = one_line(dotted, limit=200)
+            raise ConfigError(f"{where}: {quoted(part)} is a value and has no keys below it")
+    tree[last] = value
