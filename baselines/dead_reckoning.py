@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from baselines.twist import Integration, step_twist
 from vislam.base import settings
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray
@@ -15,6 +14,7 @@ from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, POSE
+from vislam_baselines.twist import Integration, step_twist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -8,8 +8,6 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
-from baselines.saved import SavedRun
-from baselines.sightings import NEAREST, Sightings, look, pixel_variances
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
@@ -18,6 +16,8 @@ from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise
+from vislam_baselines.saved import SavedRun
+from vislam_baselines.sightings import NEAREST, Sightings, look, pixel_variances
 
 _OTHER_MAP_PX = 20.0
 """A map half of whose points are farther from the pixels, seen from its own pose, is of other tracks."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.sightings import Sightings
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
 from vislam.models import StereoRig
+from vislam_baselines.sightings import Sightings
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
-from baselines.landmarks import Landmarks, initialise, update
-from baselines.saved import SavedRun
-from baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
+from vislam_baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
+from vislam_baselines.landmarks import Landmarks, initialise, update
+from vislam_baselines.saved import SavedRun
+from vislam_baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

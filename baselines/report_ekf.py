@@ -13,9 +13,6 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
-from baselines.landmarks import Landmarks, initialise
-from baselines.sightings import NEAREST, pixel_variances
-from baselines.twist import Integration, step_twist
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
@@ -24,6 +21,9 @@ from vislam.core.sequence import Frame
 from vislam.geometry import se3, so3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE
+from vislam_baselines.landmarks import Landmarks, initialise
+from vislam_baselines.sightings import NEAREST, pixel_variances
+from vislam_baselines.twist import Integration, step_twist
 
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""

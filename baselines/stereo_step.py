@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from baselines.sightings import NEAREST, Sightings, look
 from vislam.base.types import Array, BoolArray
 from vislam.core.rigid_fit import FEWEST
 from vislam.geometry import se3
 from vislam.models import StereoRig, TrackNoise
+from vislam_baselines.sightings import NEAREST, Sightings, look
 
 _FREEDOM = 2.0
 """Degrees of freedom of the Student distribution that residuals of recorded tracks have."""

@@ -6,8 +6,6 @@ from typing import Any, Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from baselines.sightings import SMALLEST_DISPARITY
-from baselines.stereo_step import Prior, StepFit, fit_step
 from vislam.base import settings
 from vislam.base.fields import STRICT
 from vislam.base.types import Array, BoolArray, IntArray
@@ -16,6 +14,8 @@ from vislam.core.rigid_fit import FEWEST
 from vislam.core.sequence import Frame
 from vislam.geometry import se3
 from vislam.models import odometry as motion
+from vislam_baselines.sightings import SMALLEST_DISPARITY
+from vislam_baselines.stereo_step import Prior, StepFit, fit_step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from baselines import dead_reckoning
 from benchmarks import consistency_figures
 from benchmarks.drives import LEVELS, drive
 from benchmarks.variants import VARIANTS
@@ -42,6 +41,7 @@ from vislam.evaluation.consistency import (
     consistency,
     coverage,
 )
+from vislam_baselines import dead_reckoning
 
 MOTION_ALONE = "dead_reckoning"
 """The check of the motion noise: linear enough over the first frames."""
@@ -111,13 +111,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     terminal, started = Terminal(), time.perf_counter()
     document: dict[str, Any] = {"drives": options.drives, "frames": options.frames, "levels": {}}
     with _side_by_side(options.processes) as mapped:
-        for done, name in enumerate(options.levels, start=1):
+        for name in options.levels:
             outcomes = []
             jobs = mapped(measure, repeat(name), range(options.drives), repeat(options.frames))
             with terminal.bar(name, options.drives) as bar:
                 for outcome in jobs:
                     outcomes.append(outcome)
-                    bar.done(done)
+                    bar.done(len(outcomes))
             found = summaries(outcomes)
             _print(terminal, name, found)
             document["levels"][name] = {"noise": asdict(LEVELS[name]), "estimators": _plain(found)}

@@ -12,14 +12,14 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from baselines.mapping_only import MappingOnlyOptions
-from baselines.report_ekf import ReportEkfOptions
 from vislam.base.errors import ConfigError
 from vislam.base.yaml_text import parse_yaml
 from vislam.comparison import config
 from vislam.comparison.config import Config
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam_baselines.mapping_only import MappingOnlyOptions
+from vislam_baselines.report_ekf import ReportEkfOptions
 
 CONFIGS = sorted((Path(__file__).parents[1] / "configs").glob("*.yaml"))
 BASE = """

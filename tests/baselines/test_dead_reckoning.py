@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from baselines import dead_reckoning
-from baselines.twist import step_twist
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset
 from vislam.estimators import loop
 from vislam.geometry import se3
+from vislam_baselines import dead_reckoning
+from vislam_baselines.twist import step_twist
 
 
 def reckon(short: Dataset, short_config: Config, **options):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines import dead_reckoning, known_map
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact, gap
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators import loop
 from vislam.geometry import se3
+from vislam_baselines import dead_reckoning, known_map
 
 BIAS = np.array([0.01, -0.008, 0.012, 0.05, -0.03, 0.04])
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines import dead_reckoning, mapping_only
 from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact
 from vislam.base.errors import ConfigError
@@ -15,6 +14,7 @@ from vislam.core.run import Run
 from vislam.estimators import loop
 from vislam.geometry import se3
 from vislam.models.triangulation import triangulate
+from vislam_baselines import dead_reckoning, mapping_only
 
 
 def mapped(config, dataset, *, refused=None, **options):

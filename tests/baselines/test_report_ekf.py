@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.report_ekf import ReportEkf, ReportEkfOptions, build, circled_dot
 from tests.conftest import from_first, recorded
 from tests.smoother.drives import drive
 from vislam.base.errors import ConfigError
@@ -17,6 +16,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.geometry import se3
 from vislam.models import track_noise as noise
+from vislam_baselines.report_ekf import ReportEkf, ReportEkfOptions, build, circled_dot
 
 MENDED = {
     "jacobian": "derived",

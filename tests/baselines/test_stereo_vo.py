@@ -6,9 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines import stereo_vo
-from baselines.sightings import look
-from baselines.stereo_step import Prior, fit_step, residual_cov
 from tests.conftest import recorded
 from tests.smoother.drives import dark, drive, exact, gap, negative_disparities
 from vislam.comparison import config as configuration
@@ -20,6 +17,9 @@ from vislam.evaluation.trajectory_scores import score_trajectory
 from vislam.geometry import se3
 from vislam.models import CAMERA_AXES, StereoRig, TrackNoise
 from vislam.models import odometry as motion
+from vislam_baselines import stereo_vo
+from vislam_baselines.sightings import look
+from vislam_baselines.stereo_step import Prior, fit_step, residual_cov
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MOUNTING = se3.from_rotation_translation(CAMERA_AXES, np.array([1.0, 0.1, 0.5]))

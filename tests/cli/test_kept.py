@@ -188,7 +188,7 @@ def test_passes_that_select_observations_are_kept_too(config, calls):
 def test_an_estimator_cannot_change_the_problem_of_the_next(config, monkeypatch):
     _, folder = start(config)
     whole = numbers(folder)
-    from baselines import dead_reckoning
+    from vislam_baselines import dead_reckoning
 
     real = dead_reckoning.build
 

@@ -14,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from vislam.base.errors import ConfigError, first_line
 from vislam.base.files import open_regular
 from vislam.base.legible import one_line, quoted
+from vislam.base.shipped import find_config
 from vislam.base.yaml_text import DEEPEST, parse_yaml, unwritable
 
 Parsed = TypeVar("Parsed")
@@ -45,7 +46,10 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigError(f"{path}: extends: the files build on each other in a circle")
     if len(above) >= _MOST_FILES:
         raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
-    return _over(read(path.parent / base, above=(*above, path.resolve())), tree)
+    below = path.parent / base
+    # A copy of a shipped config builds on what is shipped beside it.
+    below = below if below.exists() else find_config(base) or below
+    return _over(read(below, above=(*above, path.resolve())), tree)
 
 
 def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _calibrate(options), verbose=options.verbose)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.calibrate", description=__doc__)
     add_config_options(parser)
     add = parser.add_argument

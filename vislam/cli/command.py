@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from vislam.base.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted, first_line
 from vislam.base.files import check_writable
 from vislam.base.legible import one_line, quoted
+from vislam.base.shipped import find_config, shipped_configs
 from vislam.base.yaml_text import parse_yaml
 from vislam.cli.streams import lasting_streams
 
@@ -24,17 +25,27 @@ _log = logging.getLogger("vislam.cli.command")
 class Parser(argparse.ArgumentParser):
     """Parser of a command's options, which says in one line what is wrong with them."""
 
+    needs_config = False
+
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; whoever reads ``--help`` may stop in the middle."""
         with lasting_streams():
-            return super().parse_args(args, namespace)
+            options = super().parse_args(args, namespace)
+            named = vars(options).pop("named", None)
+            if named is not None and options.config is not None:
+                self.error("a config is named twice, with --config and without")
+            if named is not None:
+                options.config = named
+            if self.needs_config and options.config is None:
+                self.error("a config is required: a file, or the name of a shipped one")
+            return options
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong and exit."""
         self.exit(2, f"vislam: {one_line(message)}; --help says what there is\n")
 
 
-def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+def add_config_options(parser: Parser, *, required: bool = True) -> None:
     """Add the options that name a config, override its values and say where the data is."""
     add_override_options(parser, required=required)
     add = parser.add_argument
@@ -42,10 +53,13 @@ def add_config_options(parser: argparse.ArgumentParser, *, required: bool = True
     add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
 
 
-def add_override_options(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+def add_override_options(parser: Parser, *, required: bool = True) -> None:
     """Add the options that name a config and override its values."""
+    parser.needs_config = required
     add = parser.add_argument
-    add("--config", type=Path, required=required, help="YAML configuration")
+    what = "YAML file, or the name of a shipped config (vislam configs lists them)"
+    add("named", nargs="?", type=_config, metavar="CONFIG", help=what)
+    add("--config", type=_config, help="the same")
     add("--seed", type=int, help="seed of whatever is simulated")
     add(
         "--set",
@@ -55,6 +69,14 @@ def add_override_options(parser: argparse.ArgumentParser, *, required: bool = Tr
         help="override a config value by dotted path",
     )
     add("--verbose", action="store_true", help="log what is read, cut and dropped")
+
+
+def _config(text: str) -> Path:
+    found = find_config(text)
+    if found is None and text.replace("_", "").isalnum():
+        names = ", ".join(shipped_configs())
+        raise argparse.ArgumentTypeError(f"no config {quoted(text)} here, and none is shipped: {names}")
+    return Path(text) if found is None else found
 
 
 def add_check_options(parser: argparse.ArgumentParser) -> None:

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _compare(options), verbose=options.verbose)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.compare", description=__doc__)
     add_config_options(parser)
     add = parser.add_argument

@@ -17,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _evaluate(options), verbose=options.verbose)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.evaluate", description=__doc__)
     add = parser.add_argument
     add("results", type=Path, help="results folder of a comparison")

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _list(options) if options.list else _fetch(options), verbose=False)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.fetch", description=__doc__)
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="recordings to fetch")

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _inspect(options), verbose=options.verbose)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.inspect", description=__doc__)
     add_config_options(parser, required=False)
     add = parser.add_argument

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return answer(lambda: _simulate(options), verbose=options.verbose)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.simulate", description=__doc__)
     add = parser.add_argument
     add("--config", type=Path, required=True, help="YAML configuration with a data.simulation")

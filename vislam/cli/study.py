@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.study", description=__doc__)
     add_override_options(parser)
     add = parser.add_argument

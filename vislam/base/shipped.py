@@ -1,0 +1,37 @@
+"""The configs that come with the package: beside it in a checkout, inside it when it is installed."""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parents[1]
+_FOLDERS = (_PACKAGE / "configs", _PACKAGE.parent / "configs")
+
+
+def shipped_configs() -> dict[str, Path]:
+    """Files of the shipped configs, by their names without ``.yaml``."""
+    folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find_config(name: str | Path) -> Path | None:
+    """File of a config: the one named, the same with ``.yaml``, or a shipped one; None if there is none.
+
+    ``configs/ds3.yaml`` stands for the shipped one, too, in a folder that has no such file.
+    """
+    path = Path(name)
+    for candidate in (path, path.with_name(f"{path.name}.yaml")):
+        if candidate.is_file():
+            return candidate
+    if path.parent in (Path(), Path("configs")):
+        return shipped_configs().get(path.name.removesuffix(".yaml"))
+    return None
+
+
+def about(path: Path) -> str:
+    """First sentence of the comment at the head of a config."""
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    text = " ".join(lines)
+    return text.partition(". ")[0].rstrip(".")
