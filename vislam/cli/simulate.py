@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vislam.cli.command import Parser, answer, load_config
+from vislam.cli.command import Parser, add_override_options, answer, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,19 +20,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.simulate", description=__doc__)
+    add_override_options(parser)
     add = parser.add_argument
-    add("--config", type=Path, required=True, help="YAML configuration with a data.simulation")
     add("--out", type=Path, required=True, help="file to write, FILE.npz; the truth goes to FILE_truth.tum")
-    add("--seed", type=int, help="seed of the simulation, in place of the config's")
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override a config value by dotted path",
-    )
     add("--data-dir", type=Path, help="first folder to look for a recorded path")
-    add("--verbose", action="store_true", help="log what is done")
     return parser
 
 

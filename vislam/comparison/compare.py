@@ -96,6 +96,27 @@ def compare(
     return Outcome(folder, results, published)
 
 
+def keep(results: Results, out: Path, *, report: bool) -> Path:
+    """Write results that were had without a folder to one of their own below ``out``; return it.
+
+    Raises
+    ------
+    DataError
+        If it cannot be written.
+    """
+    parts = [configuration.dump(results.config), results.record.digest, code_digest()]
+    folder = out / result_id(results.config, hashlib.sha256("|".join(parts).encode()).hexdigest())
+    for file in PLACES:
+        check_writable(folder / file)
+    keeper = FolderKeeper(folder)
+    results.begin(folder)
+    for run in results.runs.values():
+        keeper.keep(run)
+    checklist = read_checklist(results.config, against=None, tolerance=0.0, schema_version=SCHEMA_VERSION)
+    publish(results, folder, checklist, report=report)
+    return folder
+
+
 @dataclass(frozen=True)
 class Prepared:
     """A comparison that is ready to run.

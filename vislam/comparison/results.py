@@ -1,5 +1,6 @@
 """A results folder: what runs leave in it, and all that is computed from that, now or years later."""
 
+import io
 import json
 import logging
 import os
@@ -25,6 +26,7 @@ from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.report.table import SHORT, comparison_table
+from vislam.report.top_view import top_view
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 1
@@ -170,6 +172,14 @@ def _write_report(
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=configuration.dump(results.config),
     )
+
+
+def top_view_svg(results: Results, evaluation: Evaluation) -> str:
+    """Paths and maps from above, as an SVG element."""
+    figure = top_view(Shown.of(results.runs, results.record, evaluation, ()))
+    text = io.StringIO()
+    figure.savefig(text, format="svg")
+    return text.getvalue().partition("<svg")[2].join(("<svg", ""))
 
 
 def metrics_document(

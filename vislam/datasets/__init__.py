@@ -1,6 +1,33 @@
-"""Recordings and references: what they hold in memory, and one reader a format."""
+"""Recordings and references: one reader a format."""
 
-from vislam.core.sequence import Frame, Repair, Sequence
-from vislam.datasets.course_npz import load_course_npz
+from pathlib import Path
 
-__all__ = ["Frame", "Repair", "Sequence", "load_course_npz"]
+from vislam.core.sequence import Sequence
+from vislam.datasets.find import find_file, not_found, search_path
+
+__all__ = ["open"]
+
+
+def open(name: str | Path, *, data_dir: Path | str | None = None) -> Sequence:
+    """Read a recording as it stands; nothing is repaired.
+
+    Parameters
+    ----------
+    name : str or Path
+        A course file (``.npz``), looked for where a config's is.
+    data_dir : Path or str, optional
+        First folder to look in.
+
+    Raises
+    ------
+    DataError
+        If it is not found, or not one.
+    """
+    from vislam.base.errors import DataError  # noqa: PLC0415
+    from vislam.datasets.course_npz import load_course_npz  # noqa: PLC0415
+
+    folders = [Path(), *search_path(None if data_dir is None else Path(data_dir))]
+    path = find_file(str(name), folders)
+    if path is None:
+        raise DataError(not_found(str(name), folders))
+    return load_course_npz(path)

@@ -1,0 +1,330 @@
+"""What the commands do, from Python: nothing is printed, and nothing is written unless asked.
+
+The heavy imports follow the calls, so that ``import vislam`` is quick.
+"""
+
+import sys
+from collections.abc import Mapping
+from collections.abc import Sequence as Several
+from dataclasses import dataclass, replace
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from vislam.base.errors import ConfigError
+from vislam.base.shipped import find_config
+
+if TYPE_CHECKING:
+    from vislam.base.progress import Progress
+    from vislam.comparison.config import Config
+    from vislam.comparison.open import Dataset
+    from vislam.comparison.results import Results
+    from vislam.core.estimator import Estimator
+    from vislam.core.run import Run
+    from vislam.core.sequence import Sequence
+    from vislam.evaluation import Evaluation
+    from vislam.inspection import Inspection
+
+
+class CallableModule(ModuleType):
+    """A module of a command that can be called as the function of its name, which its import would hide."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call the function of :mod:`vislam.api`."""
+        return getattr(import_module("vislam.api"), self.__name__.rpartition(".")[2])(*arguments, **options)
+
+
+def make_callable(name: str) -> None:
+    """Let a module that is being imported be called as the function of its name."""
+    if name != "__main__":
+        sys.modules[name].__class__ = CallableModule
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a comparison came to.
+
+    Attributes
+    ----------
+    results : Results
+        The drive and its runs.
+    evaluation : Evaluation
+        Their metrics.
+    """
+
+    results: "Results"
+    evaluation: "Evaluation"
+
+    @property
+    def runs(self) -> "dict[str, Run]":
+        """Runs by their names."""
+        return self.results.runs
+
+    def metric(self, key: str, estimator: str) -> float:
+        """Value of a metric, by its key in ``metrics.json``.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such run, or it has no such metric.
+        """
+        if estimator not in self.runs:
+            raise ConfigError(f"no run {estimator!r}; there are {', '.join(self.runs)}")
+        value = self.evaluation.value(estimator, key)
+        if value is None:
+            keys = sorted({item.key for item in self.evaluation.metrics if item.estimator == estimator})
+            raise ConfigError(f"{estimator} has no metric {key!r}; it has {', '.join(keys)}")
+        return value
+
+    def table(self, *, every: bool = False) -> str:
+        """Markdown table: the metrics that the terminal shows, or ``every`` one."""
+        table = self._table(every=every)
+        lines = [table.header, ["---", *("---:" for _ in table.header[1:])], *table.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    def save(self, out: Path | str = "results", *, report: bool = False) -> Path:
+        """Write the results folder that ``vislam compare`` writes below ``out``; with its page, or without.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        DataError
+            If it cannot be written.
+        """
+        from vislam.comparison.compare import keep  # noqa: PLC0415
+
+        return keep(self.results, Path(out), report=report)
+
+    def report(self, out: Path | str = "results") -> Path:
+        """Write the same with its page, and return the page."""
+        return self.save(out, report=True) / "report.html"
+
+    def _table(self, *, every: bool) -> Any:
+        from vislam.report.table import SHORT, comparison_table  # noqa: PLC0415
+
+        return comparison_table(self.runs, self.evaluation, keys=None if every else SHORT)
+
+    def __repr__(self) -> str:
+        return f"{self.results.title}\n{self.table()}"
+
+    def _repr_html_(self) -> str:
+        """Table and top view, as a notebook shows them."""
+        from vislam.comparison.results import top_view_svg  # noqa: PLC0415
+
+        table = self._table(every=False)
+        rows = [table.header, *table.rows]
+        cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        title = escape(self.results.title)
+        view = top_view_svg(self.results, self.evaluation)
+        return f"<table><caption>{title}</caption>{cells}</table>{view}"
+
+
+def load_config(config: "Config | str | Path", **overrides: Any) -> "Config":
+    """Load a config by the name of a shipped one, or by its file.
+
+    Parameters
+    ----------
+    config : Config, str or Path
+    **overrides
+        Values by dotted path with ``__`` for its dots, as ``noise__pixel_sigma_px=0.5``.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or it is wrong.
+
+    Examples
+    --------
+    >>> import vislam
+    >>> vislam.load_config("tiny", noise__pixel_sigma_px=0.75).noise.pixel_sigma_px
+    0.75
+    """
+    from vislam.comparison import config as configuration  # noqa: PLC0415
+
+    values = {key.replace("__", "."): value for key, value in overrides.items()}
+    if isinstance(config, configuration.Config):
+        if values:
+            raise ConfigError(
+                "overrides are for a config that is loaded; use dataclasses.replace for this one"
+            )
+        return config
+    path = find_config(config)
+    return configuration.load(Path(config) if path is None else path, overrides=values)
+
+
+def compare(
+    config: "Config | str | Path",
+    *,
+    estimators: Several[str] | None = None,
+    data_dir: Path | str | None = None,
+    allow_stand_in: bool = True,
+    progress: "Progress | None" = None,
+    **overrides: Any,
+) -> Outcome:
+    """Run estimators on identical information and score them; print and write nothing.
+
+    Parameters
+    ----------
+    config : Config, str or Path
+        The name of a shipped config, a file, or a config.
+    estimators : sequence of str, optional
+        In place of the config's.
+    data_dir : Path or str, optional
+        First folder to look for data.
+    allow_stand_in : bool
+        Whether a missing recording is simulated, which the results then say.
+    progress : Progress, optional
+        Takes notes and how far it is; ``vislam.cli.console.Terminal()`` prints them.
+    **overrides
+        As in :func:`load_config`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If config or data cannot be used.
+    DivergedError
+        If an estimator that the list of observations is to come from is incomplete.
+
+    Examples
+    --------
+    >>> import vislam
+    >>> outcome = vislam.compare("tiny", estimators=["dead_reckoning", "ekf"])
+    >>> outcome.metric("ate_rmse", "ekf") < outcome.metric("ate_rmse", "dead_reckoning")
+    True
+    """
+    from vislam.base.progress import Silent  # noqa: PLC0415
+    from vislam.comparison import config as configuration  # noqa: PLC0415
+    from vislam.comparison.compare import run_comparison  # noqa: PLC0415
+
+    loaded = load_config(config, **overrides)
+    if estimators is not None:
+        chosen = {name: loaded.estimators.get(name, {}) for name in estimators}
+        loaded = configuration.with_estimators(loaded, chosen)
+    dataset = _opened(loaded, config, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    results = run_comparison(loaded, dataset, Silent() if progress is None else progress)
+    return Outcome(results, evaluate(results))
+
+
+def run(
+    estimator: "str | Estimator",
+    data: "Config | str | Path | Dataset",
+    *,
+    config: "Config | str | Path | None" = None,
+    options: Mapping[str, Any] | None = None,
+) -> "Run":
+    """Run one estimator on all observations of a drive.
+
+    Parameters
+    ----------
+    estimator : str or Estimator
+        The name of one, or one that is built.
+    data : Config, str, Path or Dataset
+        A config, whose data it is, or a dataset.
+    config : Config, str or Path, optional
+        Noise and prior, if ``data`` is a dataset.
+    options : mapping, optional
+        Of an estimator that is named.
+
+    Returns
+    -------
+    Run
+        Marked incomplete, with the reason, if the estimator fails.
+
+    Examples
+    --------
+    >>> import vislam
+    >>> vislam.run("ekf", "tiny").complete
+    True
+    """
+    from vislam.comparison.compare import make_problem, pixel_sigma  # noqa: PLC0415
+    from vislam.comparison.open import Dataset  # noqa: PLC0415
+    from vislam.core.estimator import find  # noqa: PLC0415
+    from vislam.estimators.loop import run as feed  # noqa: PLC0415
+
+    if isinstance(data, Dataset):
+        if config is None:
+            raise ConfigError("run: a dataset has no noise; name a config, too")
+        loaded, dataset = load_config(config), data
+    else:
+        loaded = load_config(data)
+        dataset = _opened(loaded, data, data_dir=None, allow_stand_in=True)
+    name = estimator if isinstance(estimator, str) else type(estimator).__name__
+    if isinstance(estimator, str):
+        estimator = find(estimator)(make_problem(loaded, dataset), dict(options or {}))
+    return feed(estimator, dataset.sequence, pixel_sigma(loaded, dataset), name=name)
+
+
+def evaluate(results: "Results | Path | str") -> "Evaluation":
+    """Metrics of runs, or of a results folder.
+
+    Raises
+    ------
+    DataError
+        If the folder is none, or what is in it does not belong together.
+
+    Examples
+    --------
+    >>> import vislam
+    >>> outcome = vislam.compare("tiny", estimators=["dead_reckoning"])
+    >>> vislam.evaluate(outcome.results).value("dead_reckoning", "path_length") > 40
+    True
+    """
+    from vislam.comparison.results import Results  # noqa: PLC0415
+    from vislam.evaluation import evaluate as score  # noqa: PLC0415
+
+    if not isinstance(results, Results):
+        folder = Path(results)
+        results = Results.load(folder)
+        for name, one in results.runs.items():
+            results.record.refuse_other(one, path=folder / "runs" / f"{name}.npz")
+    return score(results.runs, results.record)
+
+
+def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
+    """Faults of a recording, found from the data alone.
+
+    Parameters
+    ----------
+    data : Sequence, Config, str or Path
+        A sequence as its file has it, a course file (``.npz``), or a config.
+
+    Examples
+    --------
+    >>> import vislam
+    >>> [item.check for item in vislam.inspect("tiny").findings if item.verdict == "fault"]
+    ['inertial noise']
+    """
+    from vislam.comparison.config import Config, parse  # noqa: PLC0415
+    from vislam.core.sequence import Sequence  # noqa: PLC0415
+    from vislam.datasets import open as open_sequence  # noqa: PLC0415
+    from vislam.inspection import inspect_sequence  # noqa: PLC0415
+    from vislam.inspection.checks import unrepaired  # noqa: PLC0415
+
+    if not isinstance(data, Sequence | Config) and str(data).endswith(".npz"):
+        data = open_sequence(data)
+    if isinstance(data, Sequence):
+        nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
+        tree = {"name": "inspection", "data": {"file": f"{data.name}.npz", "repair": nothing}}
+        return inspect_sequence(data, parse(Config, tree))
+    loaded = load_config(data)
+    raw = replace(loaded, data=unrepaired(loaded).data)
+    return inspect_sequence(_opened(raw, data, data_dir=None, allow_stand_in=True).sequence, loaded)
+
+
+def _opened(loaded: "Config", given: Any, *, data_dir: Path | str | None, allow_stand_in: bool) -> "Dataset":
+    from vislam.comparison.open import open_dataset  # noqa: PLC0415
+
+    path = find_config(given) if isinstance(given, str | Path) else None
+    return open_dataset(
+        loaded.data,
+        seed=loaded.seed,
+        data_dir=None if data_dir is None else Path(data_dir),
+        config_dir=None if path is None else path.parent,
+        allow_stand_in=allow_stand_in,
+    )
