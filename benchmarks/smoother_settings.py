@@ -16,6 +16,7 @@ from benchmarks.smoothing import Smoothed, smoothed
 from benchmarks.timing import Drive, Part, milliseconds
 from vislam.base.files import replace_whole
 from vislam.base.types import Array
+from vislam.core.estimator import Estimate
 from vislam.estimators.smoother import SmootherOptions
 from vislam.estimators.smoother.family import MEMBERS
 from vislam.evaluation.alignment import find_alignment
@@ -74,11 +75,11 @@ class Setting:
 def measure(drive: Drive, *, figure: Path | None) -> Part:
     """Run each setting once, and the batch estimate that all are compared with."""
     batch = smoothed(drive, SmootherOptions(**MEMBERS["batch"])).estimate
-    converged = batch.world_T_imu
+    converged = _poses(batch)
     found = {}
     for name, options in SETTINGS.items():
         run = smoothed(drive, SmootherOptions(**{**options, "final": "as_is"}))
-        end = run.estimate.world_T_imu
+        end = _poses(run.estimate)
         found[name] = Setting(
             run,
             distance(end, converged),
@@ -150,6 +151,11 @@ def measure(drive: Drive, *, figure: Path | None) -> Part:
 def distance(one: Array, other: Array) -> float:
     """Root mean square distance of positions of two runs of poses ``(T, 4, 4)``, not aligned [m]."""
     return float(np.sqrt(np.mean(np.sum((one[:, :3, 3] - other[:, :3, 3]) ** 2, axis=1))))
+
+
+def _poses(estimate: Estimate) -> Array:
+    assert estimate.world_T_imu is not None
+    return estimate.world_T_imu
 
 
 def _ate(drive: Drive, poses: Array) -> float | None:

@@ -155,6 +155,7 @@ def timed(drive: Drive, options: EkfOptions, *, clock: Callable[[], float] = tim
         record = solver.process(frame, refused)
         times.append(clock() - before)
         fused = record.dof // 3
+        assert record.used is not None
         sizes.append(FrameSizes(held, known, fused, int(record.used.sum()) - fused))
         dimension.append(len(state.cov))
     before = clock()

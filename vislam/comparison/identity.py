@@ -19,6 +19,7 @@ import scipy
 
 from vislam.core.estimator import GROUP
 
+_PACKAGE = str(__package__).partition(".")[0]
 _ID_DIGITS = 10
 _SOURCES = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
 _COMPUTE = ("gtsam", "numpy", "scipy")
@@ -46,7 +47,7 @@ def code_digest() -> str:
     """
     entries = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
     plugins = {str(entry.dist.name): entry.dist for entry in entries if entry.dist and not _ours(entry)}
-    modules = {str(__package__): False, **{_top(entry.value): not _ours(entry) for entry in entries}}
+    modules = {_PACKAGE: False, **{_top(entry.value): not _ours(entry) for entry in entries}}
     for distribution in plugins.values():
         modules = dict.fromkeys(_installed(distribution), True) | modules
     digest = hashlib.sha256()
@@ -62,8 +63,9 @@ def inputs_digest(tree: Mapping[str, Any], folders: Sequence[Path]) -> str:
     """Hash of the content of all files that a config names; empty if it names none that is there.
 
     Whatever text under ``data`` and ``estimators`` names a file counts, so that the options of anybody's
-    estimator are seen too. A folder counts with all files below it, up to a bound; under ``data`` only where
-    the key says ``folder``, as the name of a format may be that of a folder, too.
+    estimator are seen too, and so does the code of an estimator that is named by its module. A folder counts
+    with all files below it, up to a bound; under ``data`` only where the key says ``folder``, as the name of
+    a format may be that of a folder, too.
 
     Parameters
     ----------
@@ -79,6 +81,7 @@ def inputs_digest(tree: Mapping[str, Any], folders: Sequence[Path]) -> str:
     recordings = (path for key, text in named if key[0] == "data" for path in _files(text, places))
     places += sorted({path.parent for path in recordings})
     found = {f"{'.'.join(key)} {content}" for key, text in named for content in _contents(key, text, places)}
+    found |= {f"{'.'.join(key)} {content}" for key, text in named for content in _code(key, text)}
     return combine(*sorted(found)) if found else ""
 
 
@@ -89,7 +92,7 @@ def combine(*parts: str) -> str:
 
 def _ours(entry: EntryPoint) -> bool:
     """Whether an estimator comes with vislam."""
-    return entry.dist is not None and entry.dist.name == __package__
+    return entry.dist is not None and entry.dist.name == _PACKAGE
 
 
 def _top(value: str) -> str:
@@ -199,6 +202,13 @@ def _contents(key: Key, text: str, places: Iterable[Path]) -> Iterator[str]:
     yield from map(_content, _files(text, places))
     if key[0] != "data" or key[-1] == "folder":
         yield from (_folder(path) for path in _named(text, places) if os.path.isdir(path))
+
+
+def _code(key: Key, text: str) -> Iterator[str]:
+    """Hash of each source of an estimator that a config names by its module, ``my_module:build``."""
+    if key[0] == "estimators" and key[-1] == "estimator" and ":" in text:
+        for label, path in _sources(_top(text), whole=True):
+            yield f"{label} {_content(path)}"
 
 
 def _folder(folder: Path) -> str:

@@ -19,7 +19,7 @@ from vislam.datasets.kitti00 import load_kitti00
 from vislam.datasets.oxts import with_oxts
 from vislam.datasets.trajectories import load_reference
 
-_log = logging.getLogger("vislam.datasets")
+_log = logging.getLogger("vislam.comparison")
 
 
 @dataclass(frozen=True)

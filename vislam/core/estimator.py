@@ -1,11 +1,18 @@
 """The one interface of all estimators, and how they are found by name."""
 
+import os
+import re
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import Any, Protocol
+from dataclasses import dataclass, field, fields, is_dataclass
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from typing import Any, Protocol, get_type_hints
+
+import numpy as np
 
 from vislam.base.errors import ConfigError
+from vislam.base.settings import parse
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.sequence import Frame
 from vislam.models import StereoRig, TrackNoise
@@ -75,7 +82,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """What an estimator knows at a frame.
+    """What an estimator knows at a frame; what it does not know may be left out.
 
     Attributes
     ----------
@@ -88,34 +95,35 @@ class StepRecord:
         Normalised innovation squared of the accepted observations and its degrees of freedom.
     log_likelihood : float
         Logarithm of the density of their innovations; NaN where the estimator does not have it.
-    used : (n,)
-        Which of the frame's observations were fused, as far as is known at the frame.
-    gated : (n,)
-        Which of them the estimator itself refused.
+    used : (n,) or None
+        Which of the frame's observations were fused, as far as is known at the frame; None: none was.
+    gated : (n,) or None
+        Which of them the estimator itself refused; None: none.
     world_gained : (6,) or None
         Information that the step gained on motions (omega, v) of the world, by the estimator's own Jacobians:
         more than none is information from nowhere [1/rad^2, 1/m^2]. None where it is not measured.
     """
 
     world_T_imu: Array
-    pose_cov: Array | None
-    bias: Array | None
-    bias_sigma: Array | None
-    nis: float
-    dof: int
-    log_likelihood: float
-    used: BoolArray
-    gated: BoolArray
+    pose_cov: Array | None = None
+    bias: Array | None = None
+    bias_sigma: Array | None = None
+    nis: float = 0.0
+    dof: int = 0
+    log_likelihood: float = float("nan")
+    used: BoolArray | None = None
+    gated: BoolArray | None = None
     world_gained: Array | None = None
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What an estimator knows in the end.
+    """What an estimator knows in the end; what it does not know may be left out.
 
     Attributes
     ----------
-    world_T_imu : (T, 4, 4)
+    world_T_imu : (T, 4, 4) or None
+        The poses; None: they are those of the steps.
     pose_cov : (T, 6, 6) or None
         Covariances of these poses, on the right; None if unknown, or if the poses are the causal ones.
     track : (m,)
@@ -139,12 +147,12 @@ class Estimate:
         than unknowns; None where that is no chi-square number.
     """
 
-    world_T_imu: Array
-    pose_cov: Array | None
-    track: IntArray
-    points_world: Array
-    points_cov: Array | None
-    counts: dict[str, int]
+    world_T_imu: Array | None = None
+    pose_cov: Array | None = None
+    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
+    points_cov: Array | None = None
+    counts: dict[str, int] = field(default_factory=dict)
     up: Array | None = None
     fused: tuple[IntArray, IntArray] | None = None
     events: tuple[str, ...] = ()
@@ -171,15 +179,53 @@ Build = Callable[[Problem, Mapping[str, Any]], Estimator]
 
 
 def find(name: str, *, section: str = "") -> Build:
-    """Find an estimator's builder by its name; a ConfigError names the config section if it is another."""
+    """Find an estimator's builder by its name, or by its module, ``my_module:build``.
+
+    The builder takes the problem, and the options of the config's section if it has any: as a mapping, or
+    parsed into the dataclass that its second parameter is annotated with. A ConfigError names the config
+    section if it is another than the name.
+    """
     known = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if re.fullmatch(r"[\w.]+:[\w.]+", name) and name not in known:
+        known[name] = EntryPoint(name, name, GROUP)
     if name not in known:
         where = f"estimators.{name}" if section in ("", name) else f"estimators.{section}.estimator: {name}"
         raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(known))}")
-    entry = known[name]
+    entry, here = known[name], os.getcwd()
 
     def build(problem: Problem, options: Mapping[str, Any]) -> Estimator:
         # Loaded here: what the module of one estimator raises is the failure of that run alone.
-        return entry.load()(problem, options)
+        if here not in sys.path:
+            # As ``python -m`` has it, so that the installed command finds a module of this folder, too.
+            sys.path.append(here)
+        return _built(entry.load(), problem, options, at=f"estimators.{section or name}")
 
     return build
+
+
+def _built(
+    builder: Callable[..., Estimator], problem: Problem, options: Mapping[str, Any], *, at: str
+) -> Estimator:
+    """Call a builder with as much as it takes."""
+    takes = list(signature(builder).parameters.values())
+    if len(takes) < 2:
+        if options:
+            raise ConfigError(f"{at}: it takes no options, got {', '.join(map(str, options))}")
+        return builder(problem)
+    kind = _hint(builder, takes[1].name)
+    if isinstance(kind, type) and is_dataclass(kind):
+        names = [item.name for item in fields(kind)]
+        for name in options:
+            if name not in names:
+                raise ConfigError(f"{at}.{name}: unknown key; known are {', '.join(names)}")
+        return builder(problem, parse(kind, dict(options), at=at))
+    return builder(problem, options)
+
+
+def _hint(builder: Callable[..., Estimator], parameter: str) -> Any:
+    """Annotation of a parameter of a function or class; None if it has none, or none that can be resolved."""
+    called = vars(builder).get("__init__", builder) if isinstance(builder, type) else builder
+    try:
+        return get_type_hints(called).get(parameter)
+    except (NameError, TypeError):
+        return None

@@ -51,8 +51,8 @@ def checked_step(step: Any, frame: Frame) -> StepRecord:
     )
 
 
-def checked_estimate(estimate: Any, frames: int) -> Estimate:
-    """Check the final estimate after so many frames.
+def checked_estimate(estimate: Any, causal: Array) -> Estimate:
+    """Check the final estimate, which may leave the poses as they were at the steps, ``(T, 4, 4)``.
 
     Raises
     ------
@@ -61,6 +61,8 @@ def checked_estimate(estimate: Any, frames: int) -> Estimate:
     """
     if not isinstance(estimate, Estimate):
         raise ContractError(f"finalize must return an Estimate, got {type(estimate).__name__}")
+    frames = len(causal)
+    poses = causal if estimate.world_T_imu is None else estimate.world_T_imu
     track = _integers("track", estimate.track)
     landmarks = len(track)
     if landmarks and (track.min() < 0 or len(np.unique(track)) != landmarks):
@@ -70,7 +72,7 @@ def checked_estimate(estimate: Any, frames: int) -> Estimate:
         raise ContractError(f"up must be a unit vector, got {quoted(up)}")
     return replace(
         estimate,
-        world_T_imu=_poses("world_T_imu", estimate.world_T_imu, (frames, 4, 4)),
+        world_T_imu=_poses("world_T_imu", poses, (frames, 4, 4)),
         pose_cov=_covariance("pose_cov", estimate.pose_cov, (frames, 6, 6)),
         track=track,
         points_world=_finite("points_world", _array("points_world", estimate.points_world, (landmarks, 3))),
@@ -149,6 +151,9 @@ def _covariance(name: str, value: Any, shape: tuple[int, ...]) -> Array | None:
 
 
 def _mask(name: str, value: Any, count: int) -> BoolArray:
+    """Copy of a mask; none marks nothing."""
+    if value is None:
+        return np.zeros(count, bool)
     raw = np.asarray(value)
     if raw.shape != (count,):
         raise ContractError(f"{name} must be ({count},), got {raw.shape}")

@@ -138,7 +138,7 @@ class _Journal:
             self._steps.append(step)
             self._used[rows], self._gated[rows] = step.used, step.gated
             on_frame(frame.k)
-        estimate = checked_estimate(estimator.finalize(), len(self._steps))
+        estimate = checked_estimate(estimator.finalize(), self._causal())
         if estimate.fused is not None:
             self._used = sequence.mask_of(*estimate.fused)
         self._estimate = estimate
@@ -146,11 +146,12 @@ class _Journal:
     def run(self, name: str, *, failure: BaseException | None, total_time: float, peak_rss: int) -> Run:
         """Pack what is there."""
         steps, estimate = self._steps, self._estimate
-        causal = np.array([step.world_T_imu for step in steps]).reshape(-1, 4, 4)
+        causal = self._causal()
         causal_cov = _stack([step.pose_cov for step in steps], (6, 6))
         poses, pose_cov = causal, causal_cov
-        if estimate is not None and not np.array_equal(estimate.world_T_imu, causal):
-            poses = estimate.world_T_imu
+        final = None if estimate is None else estimate.world_T_imu
+        if estimate is not None and final is not None and not np.array_equal(final, causal):
+            poses = final
             pose_cov = np.full_like(causal_cov, np.nan) if estimate.pose_cov is None else estimate.pose_cov
         end = _NOTHING if estimate is None else estimate
         done = len(steps)
@@ -184,6 +185,10 @@ class _Journal:
             fit=end.fit,
         )
         return found if end.up is None else replace(found, up=end.up)
+
+    def _causal(self) -> Array:
+        """Poses ``(T, 4, 4)`` as the steps had them."""
+        return np.array([step.world_T_imu for step in self._steps]).reshape(-1, 4, 4)
 
     def _reason(self, failure: BaseException) -> str:
         """Where it broke off and why, in one line."""

@@ -1,0 +1,120 @@
+"""Whether an estimator keeps to what the others rely on: for the tests of whoever writes one."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vislam.base.errors import ContractError
+from vislam.base.types import BoolArray
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.open import Dataset, open_dataset
+from vislam.core.estimator import Build, find
+from vislam.core.run import Run
+from vislam.estimators.loop import run
+from vislam.simulation.settings import SimulationConfig
+
+_SAME = 1e-9
+
+
+def check_estimator(
+    build: Build | str, options: Mapping[str, Any] | None = None, *, frames: int = 16, seed: int = 0
+) -> Run:
+    """Run an estimator over a short simulated drive in several ways, and compare what it says.
+
+    Shapes, rotations and covariances are checked at each step, as in every comparison. Beyond that:
+
+    * two runs say the same;
+    * it is causal: what it says at a frame does not change when later frames are left away;
+    * it does not fuse what it is told to refuse.
+
+    Parameters
+    ----------
+    build : callable or str
+        As a config names it, or the function itself.
+    options : mapping, optional
+        Of the config's section.
+    frames : int
+        Length of the drive.
+    seed : int
+        Seed of the drive.
+
+    Returns
+    -------
+    Run
+        The run over the whole drive.
+
+    Raises
+    ------
+    ContractError
+        Says what is wrong, in one line.
+
+    Examples
+    --------
+    >>> from vislam.testing import check_estimator
+    >>> check_estimator("dead_reckoning").complete
+    True
+    """
+    simulation = SimulationConfig(frames=frames, tracks_in_view=20)
+    config = Config(
+        name="check",
+        data=DataConfig(simulation=simulation),
+        noise=NoiseConfig(pixel_sigma_px=simulation.pixel_sigma_px),
+        seed=seed,
+    )
+    dataset = open_dataset(config.data, seed=seed, data_dir=None, allow_stand_in=True)
+    whole = _run(build, options, config, dataset)
+    again = _run(build, options, config, dataset)
+    _refuse_other("two runs over the same drive differ", whole, again, frames=frames)
+    half = frames // 2
+    shorter = _run(build, options, config, _first(dataset, half))
+    _refuse_other("later frames change what it says at a frame", whole, shorter, frames=half)
+    refused = np.zeros(dataset.sequence.observations, bool)
+    refused[::3] = True
+    count = int(np.count_nonzero(_run(build, options, config, dataset, refused=refused).used & refused))
+    if count:
+        raise ContractError(f"fused {count} observations that it was told to refuse")
+    return whole
+
+
+def _run(
+    build: Build | str,
+    options: Mapping[str, Any] | None,
+    config: Config,
+    dataset: Dataset,
+    *,
+    refused: BoolArray | None = None,
+) -> Run:
+    builder = find(build) if isinstance(build, str) else build
+    estimator = builder(make_problem(config, dataset), dict(options or {}))
+    sigma = pixel_sigma(config, dataset)
+    found = run(estimator, dataset.sequence, sigma, name="checked", refused=refused)
+    if not found.complete:
+        raise ContractError(found.error)
+    return found
+
+
+def _first(dataset: Dataset, frames: int) -> Dataset:
+    sequence = dataset.sequence
+    rows = slice(0, int(sequence.offset[frames]))
+    shorter = replace(
+        sequence,
+        stamp=sequence.stamp[:frames],
+        offset=sequence.offset[: frames + 1],
+        track=sequence.track[rows],
+        pixels=sequence.pixels[rows],
+        row=sequence.row[rows],
+    )
+    return replace(dataset, sequence=shorter, reference=None)
+
+
+def _refuse_other(what: str, one: Run, other: Run, *, frames: int) -> None:
+    for name in ("world_T_imu_causal", "pose_cov_causal", "nis"):
+        first, second = getattr(one, name)[:frames], getattr(other, name)[:frames]
+        same = (
+            np.isclose(first, second, rtol=_SAME, atol=_SAME, equal_nan=True).reshape(frames, -1).all(axis=1)
+        )
+        if not same.all():
+            raise ContractError(f"frame {int(np.argmin(same))}: {what} ({name.removesuffix('_causal')})")
