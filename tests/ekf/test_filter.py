@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, multivariate_t
 
 from tests.conftest import from_first
 from vislam.base.errors import DivergedError
@@ -94,6 +95,48 @@ def test_the_gate_refuses_planted_outliers_and_little_else(short_config: Config)
     # Tracks that begin with an outlier have all their good observations refused: hence not 0.3 %.
     assert result.gated[fused_later & ~wrong].mean() < 0.2
     assert not np.any(result.used & result.gated)
+
+
+@pytest.mark.parametrize("probability", [0.8, 0.9])
+def test_the_gate_refuses_the_share_that_it_is_set_to(short_config: Config, probability: float):
+    planted = SimulationConfig(
+        frames=150, pixel_sigma_px=0.3, loss_probability=0.02, outlier_probability=0.0, tracks_in_view=30
+    )
+    unrepaired = RepairConfig(consensus=None, disparity=Disparity(row_difference_px=100.0))
+    config = replace(
+        short_config,
+        data=DataConfig(simulation=planted, repair=unrepaired),
+        noise=replace(short_config.noise, pixel_sigma_px=0.3, drift_px=0.0, match_px=0.0),
+        gate_probability=probability,
+    )
+    dataset = open_dataset(config.data, seed=2)
+    estimator = EkfEstimator(make_problem(config, dataset), EkfOptions(robust="none"))
+    found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
+    seen = found.gated | (found.used & (dataset.sequence.age() > 0))
+    # Innovations have three degrees of freedom: with the bound of two, the share would be twice as large.
+    assert found.gated[seen].mean() == pytest.approx(1.0 - probability, rel=0.3)
+
+
+def test_the_student_weight_is_that_of_the_density(short: Dataset, short_config: Config):
+    """w = -2 d log p / d (d^2), of a Student density in three dimensions with four degrees of freedom."""
+    estimator = EkfEstimator(make_problem(short_config, short), EkfOptions(robust="student"))
+    density, step = multivariate_t(loc=np.zeros(3), shape=np.eye(3), df=4.0), 1e-4
+    squared = np.array([0.0, 0.5, 3.0, 9.0, 100.0]) + step
+
+    def log_density(at):
+        return density.logpdf(np.sqrt(at)[:, None] * [0.0, 0.6, 0.8])
+
+    slope = (log_density(squared + step) - log_density(squared - step)) / (2.0 * step)
+    assert np.allclose(estimator._weight(squared), -2.0 * slope, rtol=1e-5)
+
+
+def test_the_huber_weight_is_that_of_the_density(short: Dataset, short_config: Config):
+    """w = psi(d) / d: all of it up to the bound, and the same pull for whatever is beyond."""
+    estimator = EkfEstimator(make_problem(short_config, short), EkfOptions(robust="huber"))
+    bound = chi2.ppf(0.95, 3)
+    assert np.allclose(estimator._weight(np.array([0.0, 1.0, 0.99 * bound])), 1.0)
+    beyond = bound * np.array([1.01, 4.0, 100.0])
+    assert np.allclose(estimator._weight(beyond) * np.sqrt(beyond), np.sqrt(bound))
 
 
 def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.evaluation.test_evaluation import circle, made_run
-from vislam.evaluation.agreement import agreement, compared, transported
+from vislam.evaluation.agreement import Agreement, agreement, compared, transported
 from vislam.evaluation.consistency import COMPONENTS
 from vislam.evaluation.normalised import usable
 from vislam.geometry import se3
@@ -121,6 +122,16 @@ def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
     )
     assert np.allclose(found.squared, expected, rtol=1e-9)
     assert np.allclose(se3.retract(one.world_T_imu[1:], found.difference), other.world_T_imu[1:])
+
+
+@pytest.mark.parametrize("frames", [50, 1000])
+def test_the_bound_of_parting_is_shared_out_over_the_frames(rng, frames):
+    """Errors that stay, as those of a pose do, are beyond the bound of one frame in one drive of a hundred."""
+    alarm = 0.01
+    made = Agreement(*(np.arange(frames), *[np.empty(0)] * 4))
+    level = chi2.isf(alarm / frames, 6)
+    for share, expected in ((0.999, None), (1.001, 0)):
+        assert replace(made, squared=np.full(frames, share * level)).parting(alarm) == expected
 
 
 def test_runs_part_where_one_goes_astray_for_good(rng):

@@ -1,0 +1,279 @@
+"""Plants faults in a copy of the sources, one at a time, and says which of them the fast tests do not catch.
+
+``python experiments/mutations.py [NAME ...]``, from the checkout. A fault that survives asks for a test.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("vislam", "baselines", "configs", "tests", "docs", "benchmarks", "pyproject.toml")
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One text in the place of another, and the tests that should see it."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+FILTER = "vislam/estimators/ekf/filter.py"
+ODOMETRY = "vislam/models/odometry.py"
+STEREO = "vislam/models/stereo.py"
+EKF, SMOOTHER, SCORES = ("tests/ekf",), ("tests/smoother",), ("tests/evaluation",)
+MODELS = ("tests/sensors", "tests/ekf", "tests/geometry")
+MUTATIONS = (
+    Mutation(
+        "gates_from ignored",
+        "vislam/comparison/running.py",
+        "if frozen is None and name == gates_from:",
+        "if False:",
+        ("tests/test_gates.py",),
+    ),
+    Mutation(
+        "what the gate has let pass is refused, not what it has gated",
+        "vislam/comparison/running.py",
+        "refused = runs[name].gated",
+        "refused = runs[name].used",
+        ("tests/test_gates.py",),
+    ),
+    Mutation(
+        "gate with two degrees of freedom for three",
+        FILTER,
+        "chi2.ppf(problem.gate_probability, 3)",
+        "chi2.ppf(problem.gate_probability, 2)",
+        EKF,
+    ),
+    Mutation(
+        "gate decisions ignored by the filter",
+        FILTER,
+        "self._fuse(state, view, frame, rows, ~refused[rows])",
+        "self._fuse(state, view, frame, rows, np.ones(len(rows), bool))",
+        ("tests/test_testing.py",),
+    ),
+    Mutation(
+        "gate decisions ignored by the smoother",
+        "vislam/estimators/smoother/incremental.py",
+        "self._tracks.take(frame, refused)",
+        "self._tracks.take(frame, np.zeros_like(refused))",
+        ("tests/test_testing.py",),
+    ),
+    Mutation(
+        "Student weight without the dimension",
+        FILTER,
+        "(_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)",
+        "_STUDENT_FREEDOM / (_STUDENT_FREEDOM + distance)",
+        EKF,
+    ),
+    Mutation(
+        "Student with 40 degrees of freedom", FILTER, "_STUDENT_FREEDOM = 4.0", "_STUDENT_FREEDOM = 40.0", EKF
+    ),
+    Mutation(
+        "Huber weight not rooted",
+        FILTER,
+        "np.sqrt(_HUBER_DISTANCE / np.maximum(distance, 1e-12))",
+        "_HUBER_DISTANCE / np.maximum(distance, 1e-12)",
+        EKF,
+    ),
+    Mutation("climb with the wrong sign", FILTER, "by_nav[0, CLIMB] = -1.0", "by_nav[0, CLIMB] = 1.0", EKF),
+    Mutation(
+        "match error left out of a new landmark",
+        FILTER,
+        "variance = np.column_stack([self._variance(frame, rows), match**2])",
+        "variance = np.column_stack([self._variance(frame, rows), 1e-6 * match**2])",
+        EKF,
+    ),
+    Mutation(
+        "process noise by the square of the step",
+        ODOMETRY,
+        "cov=dt * (jacobian * noise.twist**2)",
+        "cov=dt**2 * (jacobian * noise.twist**2)",
+        MODELS,
+    ),
+    Mutation(
+        "walk of the bias without the step",
+        ODOMETRY,
+        "bias_cov=dt * np.diag",
+        "bias_cov=np.diag",
+        MODELS,
+    ),
+    Mutation(
+        "bias added, not taken off", ODOMETRY, "xi = dt * (twist - bias)", "xi = dt * (twist + bias)", MODELS
+    ),
+    Mutation(
+        "left for right perturbation",
+        ODOMETRY,
+        "se3.adjoint(se3.inverse(step.prev_T_next))",
+        "np.eye(6)",
+        MODELS,
+    ),
+    Mutation(
+        "bias does not move the pose's error",
+        ODOMETRY,
+        "by_bias=-dt * jacobian",
+        "by_bias=dt * jacobian",
+        MODELS,
+    ),
+    Mutation(
+        "right column as the left one's derivative",
+        STEREO,
+        "out[..., 1, 2] = -self.fx * (x - self.baseline) / z**2",
+        "out[..., 1, 2] = -self.fx * x / z**2",
+        MODELS,
+    ),
+    Mutation(
+        "row back-projected by the column's focal length",
+        STEREO,
+        "(z[..., 2] - self.cy) * depth / self.fy",
+        "(z[..., 2] - self.cy) * depth / self.fx",
+        MODELS,
+    ),
+    Mutation(
+        "cross-covariance of navigation and landmarks dropped",
+        "vislam/estimators/ekf/linear.py",
+        "cov[:NAV, NAV:] = self.transition @ cov[:NAV, NAV:]",
+        "cov[:NAV, NAV:] = 0.0 * cov[:NAV, NAV:]",
+        EKF,
+    ),
+    Mutation(
+        "rotation of the alignment transposed",
+        "vislam/evaluation/alignment.py",
+        "self.scale * points @ self.rotation.T",
+        "self.scale * points @ self.rotation",
+        SCORES,
+    ),
+    Mutation(
+        "association off by one",
+        "vislam/evaluation/association.py",
+        "estimate=world_T_imu[own] @ reference.imu_T_point",
+        "estimate=world_T_imu[np.maximum(own - 1, 0)] @ reference.imu_T_point",
+        SCORES,
+    ),
+    Mutation(
+        "lever arm of the reference on the wrong side",
+        "vislam/evaluation/association.py",
+        "world_T_imu[own] @ reference.imu_T_point",
+        "reference.imu_T_point @ world_T_imu[own]",
+        SCORES,
+    ),
+    Mutation(
+        "Bonferroni dropped from parting",
+        "vislam/evaluation/agreement.py",
+        "chi2.isf(alarm / len(self.squared), 6)",
+        "chi2.isf(alarm, 6)",
+        SCORES,
+    ),
+    Mutation(
+        "agreement with three degrees of freedom",
+        "vislam/evaluation/agreement.py",
+        "float(self.squared.mean()) / 6.0",
+        "float(self.squared.mean()) / 3.0",
+        SCORES,
+    ),
+    Mutation(
+        "position covariance not turned to the world",
+        "vislam/evaluation/normalised.py",
+        "turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)",
+        "turn.transpose(0, 2, 1) @ cov[:, 3:, 3:] @ turn",
+        SCORES,
+    ),
+    Mutation(
+        "NEES by the wrong block of the tangent",
+        "vislam/evaluation/normalised.py",
+        "cov[:, 3:, 3:]",
+        "cov[:, :3, :3]",
+        SCORES,
+    ),
+    Mutation(
+        "lower tail of the interval for the upper",
+        "vislam/evaluation/statistics.py",
+        "float(chi2.isf(tail, high)) / high",
+        "float(chi2.isf(tail, low)) / low",
+        SCORES,
+    ),
+    Mutation(
+        "KITTI segments from every frame",
+        "vislam/evaluation/kitti.py",
+        "% _STRIDE == 0",
+        "% 1 == 0",
+        SCORES,
+    ),
+    Mutation(
+        "motion factor without the step",
+        "vislam/estimators/smoother/factors.py",
+        "3.0 * (density / frame.dt) ** 2",
+        "3.0 * density**2",
+        SMOOTHER,
+    ),
+    Mutation(
+        "landmark seen from the frame before",
+        "vislam/estimators/smoother/factors.py",
+        "self._noise(sigma), X(k), key",
+        "self._noise(sigma), X(max(k - 1, 0)), key",
+        SMOOTHER,
+    ),
+    Mutation(
+        "climb's walk without the root",
+        "vislam/estimators/smoother/factors.py",
+        "np.sqrt(frame.dt) * problem.climb.walk",
+        "frame.dt * problem.climb.walk",
+        SMOOTHER,
+    ),
+)
+
+
+def caught(mutation: Mutation, folder: Path) -> bool:
+    """Whether a test fails with the fault in the copy."""
+    path = folder / mutation.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(mutation.old) != 1:
+        raise SystemExit(f"{mutation.name}: its text is {text.count(mutation.old)} times in {mutation.file}")
+    path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+    try:
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow"]
+        environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(
+            [*command, *mutation.tests], cwd=folder, env=environment, capture_output=True, check=False
+        )
+        return done.returncode == 1
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def main() -> int:
+    """Plant all faults, or those named, and return 1 if one survives."""
+    wanted = [one for one in MUTATIONS if not sys.argv[1:] or one.name in sys.argv[1:]]
+    survived = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for part in COPIED:
+            source = ROOT / part
+            if source.is_dir():
+                shutil.copytree(source, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(source, folder / part)
+        (folder / "vislam_baselines").symlink_to("baselines")
+        for one in wanted:
+            started = time.perf_counter()
+            found = caught(one, folder)
+            survived += [] if found else [one.name]
+            print(
+                f"{'caught  ' if found else 'SURVIVED'} {one.name} ({time.perf_counter() - started:.0f} s)",
+                flush=True,
+            )
+    print(f"{len(wanted) - len(survived)} of {len(wanted)} caught")
+    return 1 if survived else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
