@@ -126,7 +126,7 @@ def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
 
 @pytest.mark.parametrize("frames", [50, 1000])
 def test_the_bound_of_parting_is_shared_out_over_the_frames(rng, frames):
-    """Errors that stay, as those of a pose do, are beyond the bound of one frame in one drive of a hundred."""
+    """Errors that stay, as those of a pose do, are beyond the bound of one frame in one drive of many."""
     alarm = 0.01
     made = Agreement(*(np.arange(frames), *[np.empty(0)] * 4))
     level = chi2.isf(alarm / frames, 6)
