@@ -14,6 +14,52 @@ from vislam.geometry import se3
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 
+_TOLD = 2.0
+"""A fast test that takes longer is told [s of CPU]."""
+_spent: dict[str, float] = {}
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--most-cpu",
+        type=float,
+        metavar="SECONDS",
+        help="fail if a test takes more CPU than that, workers' too",
+    )
+
+
+def _cpu() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    before = _cpu()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu", _cpu() - before))
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "teardown":
+        _spent[report.nodeid] = dict(report.user_properties).get("cpu", 0.0)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.getoption("--most-cpu") is not None:
+        for name, seconds in sorted(_spent.items(), key=lambda item: -item[1]):
+            if seconds > _TOLD:
+                terminalreporter.write_line(f"{seconds:.1f} s of CPU: {name}")
+
+
+def pytest_sessionfinish(session):
+    most = session.config.getoption("--most-cpu")
+    if most is not None and max(_spent.values(), default=0.0) > most and session.exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 SHORT = SimulationConfig(
     frames=25,
     tracks_in_view=25,
