@@ -132,9 +132,15 @@ def test_a_name_is_called_whether_its_command_is_imported_or_not(name, order):
         "both": f"import vislam.{name}; from vislam import {name}",
     }
     told = f"""
+import sys
+from inspect import signature
 {steps[order]}
 from vislam.base.errors import ConfigError, DataError
 assert callable(vislam.{name})
+assert vislam.{name} is sys.modules["vislam.{name}"]
+assert vislam.{name}.main is not None
+assert "Examples" in vislam.{name}.__doc__
+assert list(signature(vislam.{name}).parameters)[0] in ("config", "results", "data")
 try:
     vislam.{name}("nothing-of-that-name")
 except (ConfigError, DataError):

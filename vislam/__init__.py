@@ -9,9 +9,6 @@ from importlib import import_module
 from typing import Any
 
 _PUBLIC = {
-    "compare": "vislam.api",
-    "evaluate": "vislam.api",
-    "inspect": "vislam.api",
     "run": "vislam.api",
     "Outcome": "vislam.api",
     "load_config": "vislam.api",
@@ -23,7 +20,8 @@ _PUBLIC = {
     "Sequence": "vislam.core.sequence",
     "StepRecord": "vislam.core.estimator",
 }
-_ROOMS = ("datasets", "geometry")
+_MODULES = ("compare", "evaluate", "inspect", "datasets", "geometry")
+"""The first three are commands that can be called as well, the same object whatever is imported first."""
 
 __all__ = [
     "Config",
@@ -46,7 +44,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first asked for: the import of the package alone costs nothing."""
-    if name in _ROOMS:
+    if name in _MODULES:
         return import_module(f"vislam.{name}")
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from collections.abc import Sequence as Several
 from dataclasses import dataclass, replace
 from html import escape
-from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -32,14 +32,17 @@ class CallableModule(ModuleType):
     """A module of a command that can be called as the function of its name, which its import would hide."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """Call the function of :mod:`vislam.api`."""
-        return getattr(import_module("vislam.api"), self.__name__.rpartition(".")[2])(*arguments, **options)
+        """Call the function of this module."""
+        return globals()[self.__name__.rpartition(".")[2]](*arguments, **options)
 
 
 def make_callable(name: str) -> None:
-    """Let a module that is being imported be called as the function of its name."""
+    """Let a module that is being imported be called, and explained, as the function of its name."""
     if name != "__main__":
-        sys.modules[name].__class__ = CallableModule
+        module, function = sys.modules[name], globals()[name.rpartition(".")[2]]
+        module.__class__ = CallableModule
+        module.__doc__ = function.__doc__
+        vars(module)["__signature__"] = signature(function)
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from vislam.base.errors import ConfigError, DataError, first_line
 from vislam.base.files import open_regular
 from vislam.base.legible import brief
 from vislam.checks.settings import SAVED, Check
+from vislam.evaluation.metric import is_error
 
 _MOST_BYTES = 1 << 26
 """Largest ``metrics.json``; that of ten estimators has less than a hundredth."""
 _Word = Annotated[str, Field(strict=True, pattern="^[ -~]{1,200}$")]
-_SMALLER_IS_BETTER = ("ate_", "rpe_", "kitti_", "drift_", "map_error_", "held_out_")
-"""How keys of metrics of accuracy start."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ class Saved:
         found = tuple(
             Check(estimator=name, metric=key, at_most=1.0 + tolerance, times=SAVED)
             for name, key in self.values
-            if name in estimators and key.startswith(_SMALLER_IS_BETTER)
+            if name in estimators and is_error(key)
         )
         if not found:
             raise DataError(f"{self.path}: no error of {', '.join(estimators)} in it to compare with")

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vislam.evaluation.metric import METRICS
 from vislam.report.figures import Drawing
 from vislam.report.shown import colours
 from vislam.report.table import Table
@@ -13,12 +14,7 @@ from vislam.study.ablation import CASE, Ablation
 from vislam.study.page.labels import ERRORS, errors, metric_label
 from vislam.study.trials import Trials
 
-DETAILS = {
-    "path_length": "path length [m]",
-    "nis_per_dof": "NIS per degree of freedom",
-    "nees_pose": "NEES per degree of freedom",
-    "total_time_s": "total time [s]",
-}
+DETAILS = {key: METRICS[key].label for key in ("path_length", "nis_per_dof", "nees_pose", "total_time_s")}
 """Metrics that are told beside the error."""
 _MISSING = "failed"
 
@@ -47,7 +43,7 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
 def defects_table(trials: Trials, ablation: Ablation) -> Table:
     """Each defect on its own: the error where it alone is there or mended, and what it adds."""
     key = errors(trials)[0]
-    title, unit = ERRORS[key]
+    title, unit = ERRORS[key].short or ERRORS[key].title, ERRORS[key].unit
     header = ["defect"]
     header += [f"{run}: {title} if it alone is there [{unit}]" for run in trials.complete]
     header += [f"{run}: cost [{unit}]" for run in trials.complete]
@@ -103,7 +99,7 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
 def verdict(trials: Trials, ablation: Ablation) -> list[str]:
     """Sentences: where each estimator begins and ends, and what costs it most."""
     key = errors(trials)[0]
-    title, unit = ERRORS[key]
+    title, unit = ERRORS[key].short or ERRORS[key].title, ERRORS[key].unit
     told = []
     for run in trials.complete:
         ends = [_value(trials, run, key, ablation.label(present)) for present in (ablation.defects, ())]

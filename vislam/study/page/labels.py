@@ -5,18 +5,22 @@ from typing import Any
 
 import numpy as np
 
+from vislam.evaluation.metric import METRICS
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials
 
 ERRORS = {
-    "ate_rmse": ("ATE", "m"),
-    "ate_planar_rmse": ("planar ATE", "m"),
-    "ate_rotation_rmse": ("attitude error", "deg"),
-    "kitti_t_rel": ("KITTI drift", "%"),
-    "map_error_median": ("landmark error", "m"),
-    "held_out_median": ("error of held-out tracks", "px"),
+    key: METRICS[key]
+    for key in (
+        "ate_rmse",
+        "ate_planar_rmse",
+        "ate_rotation_rmse",
+        "kitti_t_rel",
+        "map_error_median",
+        "held_out_median",
+    )
 }
-"""Name and unit of metrics of which less is better; the first that a study has is its headline."""
+"""Errors that a study shows; the first that it has is its headline."""
 TIME = "step_time_p50_ms"
 _UNITS = ("px", "m", "s", "ms", "deg", "hz")
 
@@ -30,8 +34,7 @@ def errors(trials: Trials) -> list[str]:
 
 def metric_label(key: str) -> str:
     """Name of a metric of ``ERRORS`` with its unit."""
-    title, unit = ERRORS[key]
-    return f"{title} [{unit}]"
+    return ERRORS[key].short_label
 
 
 def parameter_label(path: str) -> str:

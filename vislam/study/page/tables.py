@@ -72,7 +72,7 @@ def pairs_table(trials: Trials) -> Table:
                 told = [str(found.difference.count), str(found.difference.missing)]
                 told += [with_interval(found.difference), percent(found.better), f"{found.p_value:.2g}"]
                 rows.append([f"{one} less {other}", *map(plain, point.values()), *told])
-    unit = ERRORS[keys[0]][1] if keys else ""
+    unit = ERRORS[keys[0]].unit if keys else ""
     header = ["trials of both", "missing", f"mean difference [{unit}]", "first is better", "p"]
     return Table(["estimators", *map(parameter_label, trials.point), *header], rows)
 

@@ -1,0 +1,44 @@
+"""The registry of metrics says what the metrics themselves say, and of nothing that there is not."""
+
+import pytest
+
+import vislam
+from vislam.evaluation.metric import METRICS, is_error
+
+UNITS = {"1": "", "1/rad^2": "1/rad²"}
+
+
+@pytest.fixture(scope="module")
+def computed():
+    outcome = vislam.compare("ci", estimators=["ekf", "isam2"])
+    return {item.key: item.unit for item in outcome.evaluation.metrics}
+
+
+def test_units_are_those_that_are_computed(computed):
+    shared = METRICS.keys() & computed.keys()
+    assert len(shared) > 15
+    for key in shared:
+        assert METRICS[key].unit == UNITS.get(computed[key], computed[key])
+
+
+def test_no_metric_is_made_up(computed):
+    # Of a planar reference, of a drive of more than 100 m, of a filter that measures it.
+    assert METRICS.keys() - computed.keys() <= {
+        "nees_position_planar",
+        "kitti_t_rel",
+        "kitti_r_rel",
+        "yaw_information_gained",
+    }
+
+
+def test_every_error_that_is_named_is_one_of_which_less_is_better(computed):
+    for key, spec in METRICS.items():
+        assert is_error(key) == (spec.better == "less" and not key.endswith(("_ms", "_s", "_mb"))), key
+    assert is_error("rpe_100m_rmse")
+    assert not is_error("nees_pose")
+
+
+def test_labels_carry_the_unit_once():
+    for spec in METRICS.values():
+        for label in (spec.label, spec.short_label):
+            assert label.count("[") == bool(spec.unit)

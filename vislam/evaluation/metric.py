@@ -1,0 +1,90 @@
+"""The registry of metrics: how each is called, its unit, how finely it is shown, and which way is better.
+
+Whoever shows or judges metrics takes them from here; :mod:`vislam.evaluation.metrics` computes them.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Better = Literal["less", "one", ""]
+"""Which value is better: less; near 1, as of a consistent estimator; or it is no matter of better."""
+
+
+@dataclass(frozen=True)
+class MetricSpec:
+    """What is known of a metric beside its value.
+
+    Attributes
+    ----------
+    key : str
+        As in ``metrics.json``.
+    title : str
+    unit : str
+        Empty for a plain number.
+    digits : int
+        Behind the point, in a table.
+    better : str
+    short : str
+        Title where there is little room; that of the table if it is empty.
+    """
+
+    key: str
+    title: str
+    unit: str = ""
+    digits: int = 2
+    better: Better = ""
+    short: str = ""
+
+    @property
+    def label(self) -> str:
+        """Title with the unit."""
+        return with_unit(self.title, self.unit)
+
+    @property
+    def short_label(self) -> str:
+        """Short title with the unit."""
+        return with_unit(self.short or self.title, self.unit)
+
+
+def with_unit(title: str, unit: str) -> str:
+    """A title with its unit, if it has one."""
+    return f"{title} [{unit}]" if unit else title
+
+
+_ALL = (
+    MetricSpec("ate_rmse", "ATE, SE(3) aligned", "m", 2, "less", "ATE"),
+    MetricSpec("ate_rmse_causal", "ATE, SE(3) aligned, as known at each time", "m", 2, "less"),
+    MetricSpec("ate_planar_rmse", "ATE, planar aligned", "m", 2, "less", "planar ATE"),
+    MetricSpec("ate_planar_rmse_causal", "ATE, planar aligned, as known at each time", "m", 2, "less"),
+    MetricSpec("ate_rotation_rmse", "attitude error, aligned", "deg", 2, "less", "attitude error"),
+    MetricSpec(
+        "held_out_median", "held-out tracks, median error", "px", 2, "less", "error of held-out tracks"
+    ),
+    MetricSpec("path_length", "path length", "m", 1),
+    MetricSpec("height_end", "height at the end", "m", 1),
+    MetricSpec("kitti_t_rel", "KITTI drift", "%", 2, "less"),
+    MetricSpec("kitti_r_rel", "KITTI turn drift", "deg/100m", 3, "less"),
+    MetricSpec("map_error_median", "landmark error, median", "m", 2, "less", "landmark error"),
+    MetricSpec("drift_end", "drift at the end", "%", 2, "less"),
+    MetricSpec("nees_pose", "NEES of the pose per degree of freedom", "", 2, "one"),
+    MetricSpec("nees_position_planar", "NEES of the position per degree of freedom", "", 2, "one"),
+    MetricSpec("nis_per_dof", "NIS per degree of freedom", "", 2, "one"),
+    MetricSpec("fit_per_dof", "fit per degree of freedom", "", 2, "one"),
+    MetricSpec("yaw_information_gained", "yaw information gained", "1/rad²", 1),
+    MetricSpec("landmarks", "landmarks", "", 0),
+    MetricSpec("observations_used", "observations used", "", 0),
+    MetricSpec("observations_gated", "observations gated", "", 0),
+    MetricSpec("step_time_p50_ms", "step time, median", "ms", 1, "less"),
+    MetricSpec("step_time_p95_ms", "step time, 95th percentile", "ms", 1, "less"),
+    MetricSpec("total_time_s", "total time", "s", 1, "less"),
+    MetricSpec("peak_rss_mb", "peak memory", "MB", 0, "less"),
+)
+METRICS = {spec.key: spec for spec in _ALL}
+"""Metrics that are shown by a name of their own, in the order of the tables."""
+_FAMILIES_OF_ERRORS = ("ate_", "rpe_", "displacement_", "kitti_", "drift_", "map_error_", "held_out_")
+"""How the keys of all errors start, those of a length or a share of them included."""
+
+
+def is_error(key: str) -> bool:
+    """Whether a metric is an error, of whatever alignment, length or percentile."""
+    return key.startswith(_FAMILIES_OF_ERRORS)
