@@ -206,7 +206,7 @@ def test_an_error_of_the_file_system_can_be_sent_to_another_process():
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from vislam.files import replace_whole
+from vislam.base.files import replace_whole
 with replace_whole(Path(sys.argv[1])) as temporary:
     temporary.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
@@ -226,7 +226,7 @@ def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path):
 WRITING = """
 import sys
 from pathlib import Path
-from vislam.files import replace_whole
+from vislam.base.files import replace_whole
 with replace_whole(Path(sys.argv[1])) as temporary:
     temporary.write_text("whole")
     print("writing", flush=True)
@@ -314,8 +314,8 @@ def test_only_a_regular_file_is_opened(tmp_path):
 AS_NOBODY = """
 import os, sys
 from pathlib import Path
-from vislam.errors import NotWrittenError
-from vislam.files import check_writable, write_text
+from vislam.base.errors import NotWrittenError
+from vislam.base.files import check_writable, write_text
 if os.geteuid() == 0:
     try:
         os.setuid(65534)

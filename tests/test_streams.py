@@ -92,7 +92,7 @@ def test_a_closed_stream_is_none(monkeypatch):
 
 CLOSED = """
 import os, sys
-from vislam.streams import lasting_streams
+from vislam.cli.streams import lasting_streams
 with lasting_streams():
     with open(sys.argv[1], "w") as file:
         os.write(1, b"what a library prints")

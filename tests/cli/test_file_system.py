@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from vislam import calibrate, compare, evaluate, inspect, simulate
+from vislam.cli import table
 from vislam.comparison import compare as comparison
-from vislam.report import markdown
 
 TINY = str(Path(__file__).parents[2] / "configs" / "tiny.yaml")
 QUICK = ("--config", TINY, "--set", "data.simulation.frames=12")
@@ -199,7 +199,7 @@ def test_metrics_that_are_none_are_one_line_and_2(name, capsys):
     Path("text").write_text('{"metrics": 3}')
     Path("deep").write_text("[" * 100_000)
     Path("bytes").write_bytes(b"\xff")
-    assert markdown.main([name]) == 2
+    assert table.main([name]) == 2
     complaint(capsys)
     assert compare.main([*ALONE, "--against", name]) == 2
     complaint(capsys)
@@ -254,7 +254,7 @@ def test_a_bad_override_is_one_bounded_line_and_2(main, given, capsys):
     assert said.removesuffix("\n").isprintable()
 
 
-@pytest.mark.parametrize("main", [compare.main, simulate.main, inspect.main, calibrate.main, markdown.main])
+@pytest.mark.parametrize("main", [compare.main, simulate.main, inspect.main, calibrate.main, table.main])
 @pytest.mark.parametrize("given", [["--seed", "9" * 5000], ["--no\x1b[31m"], ["a", "b" * 10**5]])
 def test_a_bad_option_is_one_bounded_line_and_2(main, given, capsys):
     with pytest.raises(SystemExit, match="2"):

@@ -125,10 +125,10 @@ def test_a_terminal_is_not_obeyed(case, capsys):
 BAR = """
 import sys
 from html import escape
-from vislam.terminal import Terminal
+from vislam.cli.console import Terminal
 with Terminal().bar(sys.argv[1], 3) as bar:
     bar.done(2)
-    bar.refresh()
+    bar._drawn.refresh()
 """
 
 

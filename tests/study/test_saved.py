@@ -18,7 +18,7 @@ from vislam.study.trial import run_trial
 from vislam.study.trials import Trials
 
 PIXELS = "noise.pixel_sigma_px"
-SLOW_FIXTURE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+SLOW_FIXTURE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 @pytest.fixture(scope="module")

@@ -131,11 +131,11 @@ def test_the_longest_drives_run_first_and_the_table_keeps_its_order(ran):
 def test_the_time_left_is_known_of_trials_that_take_minutes():
     now = [0.0]
     with Terminal().bar("trials", 10) as bar:
-        bar.get_time = lambda: now[0]
+        bar._drawn.get_time = lambda: now[0]
         for finished in range(4):
             now[0] = 150.0 * finished
             bar.done(finished)
-        assert bar.tasks[0].time_remaining == pytest.approx(7 * 150.0, rel=0.01)
+        assert bar._drawn.tasks[0].time_remaining == pytest.approx(7 * 150.0, rel=0.01)
 
 
 def test_only_the_metrics_that_are_asked_for_are_columns(ran):

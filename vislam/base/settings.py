@@ -3,6 +3,7 @@
 What can be set stands beside what it sets; here is what they have in common.
 """
 
+import os
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -48,7 +49,7 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
     below = path.parent / base
     # A copy of a shipped config builds on what is shipped beside it.
-    below = below if below.exists() else find_config(base) or below
+    below = below if os.path.exists(below) else find_config(base) or below
     return _over(read(below, above=(*above, path.resolve())), tree)
 
 

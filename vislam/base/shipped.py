@@ -1,5 +1,6 @@
 """The configs that come with the package: beside it in a checkout, inside it when it is installed."""
 
+import os
 from pathlib import Path
 
 _PACKAGE = Path(__file__).parents[1]
@@ -19,7 +20,8 @@ def find_config(name: str | Path) -> Path | None:
     """
     path = Path(name)
     for candidate in (path, path.with_name(f"{path.name}.yaml")):
-        if candidate.is_file():
+        # A name that is too long, or that may not be looked at, raises with the methods of Path.
+        if os.path.isfile(candidate):
             return candidate
     if path.parent in (Path(), Path("configs")):
         return shipped_configs().get(path.name.removesuffix(".yaml"))
