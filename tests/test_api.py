@@ -58,6 +58,7 @@ def test_it_has_the_metrics_of_the_command(outcome, elsewhere):
         )
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_scored_again_to_the_same(outcome, elsewhere):
     folder = outcome.save()
     assert not (folder / "report.html").exists()

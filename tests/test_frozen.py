@@ -115,6 +115,7 @@ ladder: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoothing}
 """
 
 
+@pytest.mark.slow
 def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, capsys):
     config = config_file(tmp_path / "rungs.yaml", f"extends: {TINY}\nname: rungs\n{RUNGS}")
     documents = []

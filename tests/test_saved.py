@@ -281,6 +281,7 @@ def test_plain_data_that_are_others_at_length(data, name, copy, capsys):
     score(folder, capsys)
 
 
+@pytest.mark.slow
 @fuzz
 @given(data=st.data())
 def test_metrics_to_be_held_against_that_are_others(data, made, tmp_path, capsys):

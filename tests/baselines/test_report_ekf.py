@@ -131,6 +131,7 @@ def test_with_no_gain_it_is_dead_reckoning_by_first_samples():
     assert np.allclose(found.world_T_imu[-1], pose, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_landmarks_that_leave_change_no_pose():
     config, dataset = drive(seed=4, frames=40)
     both = [filtered(config, dataset, **{**MENDED, "finished": form}) for form in ("kept", "dropped")]

@@ -35,6 +35,7 @@ def test_a_seed_is_a_drive():
     assert not np.array_equal(one.twist, other.twist)
 
 
+@pytest.mark.slow
 def test_the_command_writes_numbers_and_figures(tmp_path, capsys):
     arguments = ["--drives", "2", "--frames", "20", "--levels", "small", "--processes", "1"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0

@@ -40,6 +40,7 @@ def test_fits_find_the_curve_that_the_times_lie_on():
     assert exponent(at, 4.0 * at**1.7) == pytest.approx(1.7)
 
 
+@pytest.mark.slow
 def test_all_parts_are_measured_and_written(short_config, tmp_path, capsys):
     wide = replace(
         short_config,

@@ -71,6 +71,7 @@ def test_runs_differ_by_what_is_changed_alone(drive):
     assert np.allclose(less, 1.0)
 
 
+@pytest.mark.slow
 def test_held_out_tracks_rank_a_short_drive_as_the_truth_does(tmp_path, capsys):
     out, figure = tmp_path / "ranking.json", tmp_path / "ranking.png"
     options = ["--data", "simulated", "--frames", "120", "--seed", "1", "--out", str(out)]

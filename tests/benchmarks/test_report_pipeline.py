@@ -33,6 +33,7 @@ def configs(monkeypatch, tmp_path):
     return ["--report", "report.yaml", "--ours", "ours.yaml"]
 
 
+@pytest.mark.slow
 def test_it_tells_times_and_errors_of_both_and_draws_them(configs, capsys):
     assert main([*configs, "--out", "numbers.json", "--figure", "figure.png"]) == 0
     shown = capsys.readouterr().out

@@ -41,6 +41,7 @@ def test_every_setting_differs_from_the_shipped_options():
     assert len(set(options)) == len(options)
 
 
+@pytest.mark.slow
 def test_all_parts_are_measured_and_written(short_config, tmp_path, capsys):
     simulation = replace(short_config.data.simulation, frames=20)
     main = replace(short_config, data=replace(short_config.data, simulation=simulation))

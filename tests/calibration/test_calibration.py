@@ -140,17 +140,20 @@ def with_clock(dataset: Dataset) -> Dataset:
     return replace(dataset, sequence=Clock(offset=CLOCK).apply(dataset.sequence))
 
 
+@pytest.mark.slow
 def test_planted_levels_and_biases_are_found(known_clock):
     errors = deviations(known_clock)
     assert set(errors) == set(PLANTED) - {"data.repair.clock.offset"} | {f"bias {i}" for i in range(6)}
     assert max(np.abs(list(errors.values()))) < 4.0, errors
 
 
+@pytest.mark.slow
 def test_innovations_are_as_large_as_claimed_afterwards(known_clock):
     assert 0.9 < ratio(known_clock.after) < 1.1
     assert abs(ratio(known_clock.before) - 1.0) > 0.1
 
 
+@pytest.mark.slow
 def test_the_config_holds_what_was_found(known_clock):
     for item in known_clock.parameters:
         assert item.parameter.read(known_clock.config) == pytest.approx(item.value, rel=1e-9)

@@ -44,6 +44,7 @@ def test_a_comparison_does_all_its_work(how, tmp_path):
     assert json.loads(metrics.read_text())["runs"]["dead_reckoning"]["complete"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["a reader that reads nothing", "full disks", "all closed"])
 @pytest.mark.parametrize(
     ("command", "code"),

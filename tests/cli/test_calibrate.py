@@ -46,6 +46,7 @@ def calibrated(config, *more):
     return calibrate.main(["--config", config, "--processes", "1", *more])
 
 
+@pytest.mark.slow
 def test_the_written_config_is_the_old_one_with_what_was_estimated(small, tmp_path, capsys):
     assert calibrated(small) == 0
     shown = capsys.readouterr().out
@@ -75,6 +76,7 @@ def test_the_written_config_is_the_old_one_with_what_was_estimated(small, tmp_pa
     assert new.seed == old.seed
 
 
+@pytest.mark.slow
 def test_the_comparison_takes_the_written_config(small, tmp_path, capsys):
     assert calibrated(small, *FEW, "--out", "folder/mine.yaml") == 0
     capsys.readouterr()
@@ -84,12 +86,14 @@ def test_the_comparison_takes_the_written_config(small, tmp_path, capsys):
     assert compare.main(["--config", str(written), "--estimators", "ekf", "--out", "out"]) == 0
 
 
+@pytest.mark.slow
 def test_overridden_values_are_where_it_starts_and_are_written(small, capsys):
     assert calibrated(small, *FEW, "--set", "noise.twist_density=[0.003,0.003,0.003,0.02,0.02,0.02]") == 0
     written = yaml.safe_load(Path("calibrated.yaml").read_text(encoding="utf-8"))
     assert written["noise"]["twist_density"][:3] == [0.003, 0.003, 0.003]
 
 
+@pytest.mark.slow
 def test_inertial_noise_and_disparity_offset_are_estimated_when_asked_for(small, capsys):
     assert calibrated(small, *FEW, "--inertial", "--disparity-offset") == 0
     shown = capsys.readouterr().out
@@ -101,6 +105,7 @@ def test_inertial_noise_and_disparity_offset_are_estimated_when_asked_for(small,
     assert len(set(new.noise.twist_density[:3])) == 1
 
 
+@pytest.mark.slow
 def test_the_prior_of_the_bias_can_be_kept(small, capsys):
     assert calibrated(small, *FEW, "--keep-bias-prior") == 0
     old, kept = load(Path(small)).noise, load(Path("calibrated.yaml")).noise
@@ -113,6 +118,7 @@ def test_the_prior_of_the_bias_can_be_kept(small, capsys):
     assert new.pixel_sigma_px == kept.pixel_sigma_px
 
 
+@pytest.mark.slow
 def test_only_the_first_frames_are_used_when_told(small, monkeypatch, capsys):
     seen = set()
     whole = Evaluator.run
@@ -134,6 +140,7 @@ def test_processes_side_by_side_find_the_same(small, capsys):
     assert Path("one.yaml").read_bytes() == Path("two.yaml").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_stand_in_for_a_missing_recording_is_said(capsys):
     short = ["--set", "data.simulation.frames=10", "--set", "data.simulation.tracks_in_view=15"]
     assert calibrated(DS3, *short, *FEW) == 0
@@ -186,6 +193,7 @@ def unfinished(path):
     return first.removeprefix("# calibration unfinished: ")
 
 
+@pytest.mark.slow
 def test_the_best_so_far_is_written_after_each_round(small, monkeypatch, capsys):
     seen = []
     write = Output.keep
@@ -215,6 +223,7 @@ ENDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", sorted(ENDS))
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_whatever_ends_it_the_best_so_far_stays(end, rounds, small, monkeypatch, capsys):

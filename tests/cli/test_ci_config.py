@@ -36,6 +36,7 @@ def test_its_noise_section_states_what_is_simulated():
     assert np.all(np.abs(bias - noise.bias_mean) <= noise.bias_sigma)
 
 
+@pytest.mark.slow
 def test_every_run_completes_within_its_bounds(results):
     code, document, _ = results
     assert code == 0, [check for check in document["checks"] if not check["holds"]]
@@ -46,6 +47,7 @@ def test_every_run_completes_within_its_bounds(results):
     assert all(check["holds"] for check in bounds), bounds
 
 
+@pytest.mark.slow
 def test_nothing_is_chosen_by_its_noise(results):
     _, document, _ = results
     value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
@@ -55,6 +57,7 @@ def test_nothing_is_chosen_by_its_noise(results):
     assert all(value[name, "observations_gated"] == 0.0 for name in ESTIMATORS)
 
 
+@pytest.mark.slow
 def test_the_xml_has_a_case_for_each_run_and_each_check(results):
     _, document, path = results
     suite = ElementTree.parse(path).getroot()[0]
@@ -71,6 +74,7 @@ def failing(folder, *options, estimators):
     return {(check["estimator"], check["name"]) for check in checks if not check["holds"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pixels", [0.45, 0.6])
 def test_a_wrong_level_of_noise_is_caught_in_filter_and_smoother(pixels, tmp_path):
     """The pixels scatter by 0.5."""
@@ -99,6 +103,7 @@ def test_a_sign_error_in_a_jacobian_is_caught(tmp_path, monkeypatch):
     assert {name for _, name in failed} >= {"ate_rmse", "nis", "nees_pose"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["ekf_invariant", "eks", "isam2"])
 def test_a_swapped_order_of_the_tangent_is_caught(estimator, tmp_path, monkeypatch):
     """Covariances in the order (v, omega)."""

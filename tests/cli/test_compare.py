@@ -52,6 +52,7 @@ def config_file(path, text):
     return str(path)
 
 
+@pytest.mark.slow
 def test_every_repair_is_in_the_report_on_or_off(tmp_path):
     switched = ["--set", "data.repair.consensus=false", "--estimators", "dead_reckoning"]
     assert main(["--config", TINY, "--out", str(tmp_path / "out"), *switched]) == 0
@@ -68,6 +69,7 @@ def test_every_repair_is_in_the_report_on_or_off(tmp_path):
     assert '<th scope="row">consensus</th><td>off</td>' in page
 
 
+@pytest.mark.slow
 def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert main(["--config", TINY, "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
@@ -121,6 +123,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert f"| {value['ekf', 'ate_rmse']:.2f} |" in table
 
 
+@pytest.mark.slow
 def test_without_a_report_there_are_the_numbers(tmp_path, capsys):
     assert main(["--config", TINY, "--out", "out", "--no-report", "--estimators", "ekf"]) == 0
     (folder,) = (tmp_path / "out").iterdir()
@@ -158,6 +161,7 @@ def test_a_recorded_file_is_read_and_its_missing_reference_is_said(tmp_path, cap
     assert document["dataset"]["reference"] is None
 
 
+@pytest.mark.slow
 def test_a_failed_estimator_gives_1_and_keeps_what_it_had_done(tmp_path, capsys, monkeypatch):
     from vislam.base.errors import DivergedError
     from vislam.estimators.ekf import EkfEstimator
@@ -315,6 +319,7 @@ def test_the_effective_config_can_be_fed_back(tmp_path, capsys):
     assert capsys.readouterr().out == text
 
 
+@pytest.mark.slow
 def test_as_a_process_it_is_quiet_but_for_table_and_path(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "vislam.compare", "--config", TINY, "--estimators", "dead_reckoning,ekf"],

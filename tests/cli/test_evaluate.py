@@ -42,6 +42,7 @@ def values(folder):
     return {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
 
 
+@pytest.mark.slow
 def test_the_same_bytes_come_out_again(made, folder):
     for name in ("metrics.json", "report.html"):
         (folder / name).unlink()
@@ -49,6 +50,7 @@ def test_the_same_bytes_come_out_again(made, folder):
     assert contents(folder) == contents(made)
 
 
+@pytest.mark.slow
 def test_another_folder_leaves_the_results_alone(made, folder, tmp_path):
     assert evaluate.main([str(folder), "--out", str(tmp_path / "again")]) == 0
     assert contents(folder) == contents(made)
@@ -57,6 +59,7 @@ def test_another_folder_leaves_the_results_alone(made, folder, tmp_path):
     assert {str(path) for path in again} >= {"metrics.json", "report.html"}
 
 
+@pytest.mark.slow
 def test_a_trajectory_from_elsewhere_is_one_more_column(folder, tmp_path):
     run, record = Run.load(folder / "runs" / "ekf.npz"), Record.load(folder / "record.npz")
     camera = se3.inverse(TURN) @ run.world_T_imu @ record.rig.imu_T_cam

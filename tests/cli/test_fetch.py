@@ -301,6 +301,7 @@ sys.exit(main(["tiny", "--base-url", {server.url!r}]))
     )
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_only_part_gets_one_line_and_2(server, cache):
     prelude = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))"
     with process(prelude, server, cache) as running:
@@ -374,6 +375,7 @@ def test_a_link_to_the_good_file_is_good(server, cache, capsys):
     assert server.asked == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_gets_one_line_and_130(server, cache):
     server.behaviour = "stalled"
     # A shell may start its background jobs with the interrupt ignored.
@@ -410,6 +412,7 @@ if os.geteuid() == 0:
 """
 
 
+@pytest.mark.slow
 def test_a_folder_without_permission_gets_one_line_and_2(server):
     # Not in tmp_path, which nobody may not even enter.
     with tempfile.TemporaryDirectory() as folder:

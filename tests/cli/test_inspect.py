@@ -29,6 +29,7 @@ def written(path, text):
     return str(path)
 
 
+@pytest.mark.slow
 def test_it_says_writes_and_proposes(tmp_path, capsys):
     config, out, proposed = written(tmp_path / "c.yaml", SPOILT), tmp_path / "out", tmp_path / "new.yaml"
     assert main(["--config", config, "--out", str(out), "--write-config", str(proposed)]) == 0
@@ -57,6 +58,7 @@ def test_what_it_writes_has_no_such_fault_left(tmp_path, capsys):
     assert "FAULT   axes and extrinsic" not in said
 
 
+@pytest.mark.slow
 def test_strict_is_exit_code_3_where_a_fault_is(tmp_path):
     config = written(tmp_path / "c.yaml", SPOILT)
     assert main(["--config", config, "--out", str(tmp_path / "out"), "--strict"]) == 3
@@ -106,6 +108,7 @@ def runs(config, out, *more):
     return folder.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["beside", "elsewhere"])
 def test_a_written_config_runs_as_written_from_any_folder(nowhere, where, capsys):
     write_course_npz(nowhere / "recordings" / "drive.npz", drive(frames=30))
@@ -119,6 +122,7 @@ def test_a_written_config_runs_as_written_from_any_folder(nowhere, where, capsys
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_written_config_keeps_what_its_own_config_names(nowhere):
     """Recording, reference and what was set by hand, though the new config lies in another folder."""
     sequence = drive(frames=30)
@@ -165,6 +169,7 @@ def test_the_result_does_not_depend_on_where_the_config_lies(nowhere):
     assert len(names) == 1
 
 
+@pytest.mark.slow
 def test_the_order_of_the_folders(nowhere, monkeypatch):
     """--data-dir, the config's own folder, $VISLAM_DATA, the current folder, data/."""
     places = {
@@ -204,6 +209,7 @@ def test_what_could_not_be_told_is_marked_in_the_config(nowhere):
     assert configuration.load(target).data.repair.levelled_velocity is not None
 
 
+@pytest.mark.slow
 def test_stamps_in_milliseconds_are_a_fault_with_a_guess(nowhere, capsys):
     write_course_npz(nowhere / "late.npz", with_stamps(drive(frames=25), 1e3))
     target = nowhere / "late.yaml"

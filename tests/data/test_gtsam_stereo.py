@@ -58,6 +58,7 @@ def test_the_tracks_are_read_in_our_conventions(quick):
     assert np.allclose(reached, reference.pose[-1], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_odometry_is_what_was_asked_for(quick):
     clean, _ = gtsam_stereo.load_kitti00(gyro_sigma=0.0, velocity_sigma=0.0, seed=0)
     noisy, _ = gtsam_stereo.load_kitti00(gyro_sigma=0.03, velocity_sigma=0.2, seed=1)

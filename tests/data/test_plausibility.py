@@ -76,6 +76,7 @@ def test_what_people_record_passes(rig, seed):
     assert implausible(drive(rig, seed=seed)) == []
 
 
+@pytest.mark.slow
 @settings(derandomize=True, deadline=None, max_examples=12)
 @given(
     period=st.floats(0.004, 3.0),

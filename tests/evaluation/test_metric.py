@@ -10,7 +10,7 @@ UNITS = {"1": "", "1/rad^2": "1/rad²"}
 
 @pytest.fixture(scope="module")
 def computed():
-    outcome = vislam.compare("ci", estimators=["ekf", "isam2"])
+    outcome = vislam.compare("ci", estimators=["ekf", "isam2"], data__simulation__frames=60)
     return {item.key: item.unit for item in outcome.evaluation.metrics}
 
 

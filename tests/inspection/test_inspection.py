@@ -80,6 +80,7 @@ def test_a_planted_trap_is_found_and_answered(trap):
     assert finding.proposal
 
 
+@pytest.mark.slow
 def test_a_clean_drive_has_no_fault():
     faults = [item.text for item in inspected(CLEAN, seed=1).findings if item.verdict == "fault"]
     assert faults == []
@@ -113,6 +114,7 @@ def test_intervals_hold_what_was_planted():
         assert abs(measured.value - value) < 4.0 * measured.sigma, str(measured)
 
 
+@pytest.mark.slow
 def test_gaps_are_counted():
     raw = open_dataset(DataConfig(simulation=replace(CLEAN, frames=60)), seed=1).sequence
     late = np.where(np.arange(len(raw)) >= 30, 2 * CLEAN.period, 0.0)

@@ -84,6 +84,7 @@ def test_no_matching_bias_is_none():
 READINGS = [("stored", "stored"), ("stored", "inverse"), ("inverse", "stored"), ("inverse", "inverse")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rotation", "translation"), READINGS)
 def test_a_mixed_extrinsic_is_read_right(rotation, translation):
     """The file holds what each reading turns into the true mounting."""

@@ -96,10 +96,12 @@ def test_nothing_is_fetched_from_anywhere(text, elements):
     assert "unsafe-eval" not in policy
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_bytes(tiny, tmp_path):
     assert tiny.page(tmp_path / "a.html") == tiny.page(tmp_path / "b.html")
 
 
+@pytest.mark.slow
 def test_figures_have_no_black_white_or_series_colour_of_their_own(tiny):
     for name, drawing in all_figures(tiny.shown).items():
         svg = themed_svg(drawing.figure, name, colours=COLOURS)
@@ -127,6 +129,7 @@ def test_the_table_has_a_row_for_each_estimator(tiny, text):
     assert f'<th scope="row">ekf</th><td>{value:.2f}</td>' in body
 
 
+@pytest.mark.slow
 def test_names_and_notes_are_text_whatever_they_hold(tiny, tmp_path):
     runs = {EVIL: replace(tiny.runs["ekf"], name=EVIL, error=EVIL, events=(EVIL,), counts={EVIL: 1})}
     reference = replace(tiny.record.reference, name=EVIL, limits=EVIL)

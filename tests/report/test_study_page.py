@@ -33,6 +33,7 @@ def test_each_kind_of_study_has_its_figures(sweep, wanted):
     assert set(all_figures(Trials.of_records(study(sweep, seeds=5)))) == wanted
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_fetches_nothing(tmp_path):
     records = study(PIXELS, overconfident=lambda point: 5.0 if point["noise.pixel_sigma_px"] > 0.4 else 1.0)
     text = page(tmp_path, records)

@@ -158,6 +158,7 @@ def test_a_missing_file_says_where_it_was_looked_for(tmp_path):
         open_dataset(DataConfig(simulation=ALONG), seed=1, data_dir=tmp_path)
 
 
+@pytest.mark.slow
 def test_other_processes_find_the_file_too(tmp_path, monkeypatch):
     write_kitti(tmp_path, original(stamps()))
     monkeypatch.setenv("VISLAM_DATA", str(tmp_path))

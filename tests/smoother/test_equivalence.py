@@ -19,6 +19,7 @@ from vislam.models import track_noise as noise
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
+@pytest.mark.slow
 def test_isam2_that_relinearises_to_the_end_equals_batch():
     config, dataset = drive(seed=9, frames=120, tracks_in_view=30)
     incremental = member("isam2", config, dataset, final_iterations=20)

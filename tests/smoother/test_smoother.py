@@ -53,6 +53,7 @@ def test_triangulation_refuses_what_is_no_point():
     assert np.allclose(found.points_world[3], points[3], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_smoothing_beats_filtering_on_the_past():
     config, dataset = drive(seed=9, frames=120)
     smoothed = member("isam2", config, dataset)
@@ -186,6 +187,7 @@ def test_every_kernel_runs_and_changes_little_on_good_data(kernel, simulated):
     assert distance < 0.1
 
 
+@pytest.mark.slow
 def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
     config, dataset = drive(seed=3, frames=120, clock_offset=0.04, gyro=1e-3, velocity=0.01)
     config = replace(config, noise=replace(config.noise, clock_sigma=0.05))

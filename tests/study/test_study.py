@@ -99,6 +99,7 @@ def test_a_study_on_two_processes_runs_every_seed_at_every_point(capsys):
     assert said.err == ""
 
 
+@pytest.mark.slow
 def test_a_stopped_study_runs_only_what_is_missing(ran):
     assert study() == 0
     whole = table()
@@ -112,6 +113,7 @@ def test_a_stopped_study_runs_only_what_is_missing(ran):
     assert errors[0] == errors[1]
 
 
+@pytest.mark.slow
 def test_more_seeds_go_on_where_the_study_was(ran):
     assert study() == 0
     ran.clear()
@@ -208,6 +210,7 @@ def test_a_study_in_which_no_run_finishes_says_why_and_exits_1(ran, monkeypatch,
     assert "no estimator has finished in any of 4 trials" in said.err
 
 
+@pytest.mark.slow
 def test_a_study_in_which_some_runs_finish_counts_the_reasons_of_the_others(ran, monkeypatch, capsys):
     monkeypatch.setattr(
         conduct, "run_trials", incomplete("ekf", lambda seed: "x" * 400 if seed == 5 else "\x1b[2J")
@@ -220,6 +223,7 @@ def test_a_study_in_which_some_runs_finish_counts_the_reasons_of_the_others(ran,
     assert "\x1b" not in said.out
 
 
+@pytest.mark.slow
 def test_no_more_than_a_few_reasons_are_shown(ran, monkeypatch, capsys):
     kinds = iter("abcdefgh")
     monkeypatch.setattr(conduct, "run_trials", incomplete("ekf", lambda seed: next(kinds)))
@@ -231,6 +235,7 @@ def test_no_more_than_a_few_reasons_are_shown(ran, monkeypatch, capsys):
     ]
 
 
+@pytest.mark.slow
 def test_files_that_are_of_other_trials_are_told_and_run_again(ran, capsys):
     assert study() == 0
     whole = table()
@@ -247,6 +252,7 @@ def test_files_that_are_of_other_trials_are_told_and_run_again(ran, capsys):
     assert [row["ekf.ate_rmse"] for row in table()] == [row["ekf.ate_rmse"] for row in whole]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [(1e308,) * 4, (1e308, -1e308, 0.0, 5e-324), (0.0,) * 4, (None,) * 4])
 def test_numbers_beyond_all_measure_end_in_a_page(values, ran, capsys):
     assert study() == 0
@@ -289,6 +295,7 @@ def test_a_study_runs_again_if_a_file_that_it_reads_has_changed(ran):
     assert lengths[1] == lengths[2] == pytest.approx(2.0 * lengths[0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_workers_that_are_gone_are_started_again_so_often(ran, monkeypatch, capsys):
     whole, starts = conduct.run_trials, []
 
@@ -421,6 +428,7 @@ def test_a_full_disk_is_one_line_and_2(ran, monkeypatch, capsys):
     assert list(only("*/trials").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_start(ran, capsys):
     assert study() == 0
     only("*/study.html").unlink()
@@ -449,6 +457,7 @@ def test_the_studies_that_come_along_can_be_planned(path):
     assert len({point.digest for point in plan.points}) == len(plan.points)
 
 
+@pytest.mark.slow
 def test_a_recording_has_no_seeds(ran, capsys):
     recorded("03.npz")
     assert study("--set", "data.file=03.npz") == 2
@@ -494,6 +503,7 @@ def test_a_study_of_a_missing_recording_is_of_its_stand_in_and_says_so(ran, caps
     assert json.loads(only("*/study.json").read_text(encoding="utf-8"))["config"]["data"]["file"] is None
 
 
+@pytest.mark.slow
 def test_an_ablation_can_be_of_a_recording(ran, monkeypatch, capsys):
     monkeypatch.setenv("VISLAM_DATA", str(recorded("03.npz").parent))
     Path("small.yaml").write_text(
