@@ -14,7 +14,7 @@ from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import find
 from vislam.core.run import Run
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
-from vislam.estimators.ekf.layout import CLOCK, NAV, OFFSET, TILT
+from vislam.estimators.ekf.layout import CLIMB, CLOCK, NAV, OFFSET, TILT
 from vislam.estimators.ekf.linear import Update
 from vislam.estimators.ekf.state import JointState
 from vislam.estimators.loop import run
@@ -229,3 +229,19 @@ def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
     assert np.isfinite(found.points_cov).all()
     error = found.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
     assert np.abs(error[-1]).max() < 2.0
+
+
+def test_pose_and_climbed_height_meet_where_their_variances_say(short_config: Config):
+    """The height of the pose is that which the climb rate has led to: each gives way by its share."""
+    config, dataset = drive(
+        short_config, seed=1, noise={"climb": ClimbConfig(walk=0.1)}, levelled_velocity=True
+    )
+    rates = replace(dataset.sequence, climb_rate=np.zeros(len(dataset.sequence.climb_rate)))
+    estimator = EkfEstimator(make_problem(config, replace(dataset, sequence=rates)), EkfOptions())
+    state = estimator.state
+    state.world_T_imu[2, 3], state.nav[CLIMB] = 1.0, 0.0
+    state.cov[:] = np.diag(np.full(len(state.cov), 1e-12))
+    state.cov[5, 5], state.cov[CLIMB, CLIMB] = 3.0, 1.0
+    estimator._climb(state)
+    assert state.world_T_imu[2, 3] == pytest.approx(0.25, abs=1e-3)
+    assert state.nav[CLIMB] == pytest.approx(0.25, abs=1e-3)

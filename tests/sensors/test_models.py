@@ -55,3 +55,18 @@ def test_transition_is_the_derivative_of_the_motion(rng):
         assert np.allclose(matrix[:6, axis], (moved(1) - moved(-1)) / 2e-6, atol=1e-8)
     assert np.all(np.linalg.eigvalsh(noise) > 0)
     assert np.allclose(matrix[6:, 6:], np.eye(6))
+
+
+@pytest.mark.parametrize("parts", [2, 5])
+def test_the_noise_of_a_step_is_that_of_its_parts(parts: int):
+    """White noise and random walks: variances add up over time, however it is cut."""
+    twist, bias, dt = np.array([0.01, -0.02, 0.1, 0.5, 0.1, -0.2]), np.zeros(6), 0.5
+    whole = integrate(twist, bias=bias, dt=dt, noise=NOISE)
+    part = integrate(twist, bias=bias, dt=dt / parts, noise=NOISE)
+    assert np.allclose(parts * part.bias_cov, whole.bias_cov, rtol=1e-12, atol=0.0)
+    assert np.allclose(whole.bias_cov, dt * np.diag(NOISE.bias_walk**2), rtol=1e-12, atol=0.0)
+    cov = np.zeros((6, 6))
+    for _ in range(parts):
+        move = se3.adjoint(se3.inverse(part.prev_T_next))
+        cov = move @ cov @ move.T + part.cov
+    assert np.allclose(cov, whole.cov, rtol=0.1, atol=0.02 * np.abs(whole.cov).max())
