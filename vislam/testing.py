@@ -69,7 +69,8 @@ def check_estimator(
     again = _run(build, options, config, dataset)
     _refuse_other("two runs over the same drive differ", whole, again, frames=frames)
     half = frames // 2
-    shorter = _run(build, options, config, _first(dataset, half))
+    shortened = replace(dataset, sequence=dataset.sequence.first(half))
+    shorter = _run(build, options, config, shortened)
     _refuse_other("later frames change what it says at a frame", whole, shorter, frames=half)
     refused = np.zeros(dataset.sequence.observations, bool)
     refused[::3] = True
@@ -94,20 +95,6 @@ def _run(
     if not found.complete:
         raise ContractError(found.error)
     return found
-
-
-def _first(dataset: Dataset, frames: int) -> Dataset:
-    sequence = dataset.sequence
-    rows = slice(0, int(sequence.offset[frames]))
-    shorter = replace(
-        sequence,
-        stamp=sequence.stamp[:frames],
-        offset=sequence.offset[: frames + 1],
-        track=sequence.track[rows],
-        pixels=sequence.pixels[rows],
-        row=sequence.row[rows],
-    )
-    return replace(dataset, sequence=shorter, reference=None)
 
 
 def _refuse_other(what: str, one: Run, other: Run, *, frames: int) -> None:

@@ -73,16 +73,7 @@ def first_frames(sequence: Sequence, frames: int) -> Sequence:
     """Return the first frames of a sequence; DataError if these are fewer than two."""
     if frames < 2:
         raise DataError(f"{sequence.name}: the first {frames} frames are no drive, at least 2 are needed")
-    frames = min(frames, len(sequence))
-    rows = slice(0, int(sequence.offset[frames]))
-    return replace(
-        sequence,
-        stamp=sequence.stamp[:frames],
-        offset=sequence.offset[: frames + 1],
-        track=sequence.track[rows],
-        pixels=sequence.pixels[rows],
-        row=sequence.row[rows],
-    )
+    return sequence.first(frames)
 
 
 def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from vislam.base.types import Array, BoolArray
-from vislam.geometry import so3
+from vislam.geometry import se3
 
 Count = Annotated[int, Field(ge=0)]
 Level = Annotated[float, Field(ge=0, le=1e30)]
@@ -117,10 +117,7 @@ def _repeated(values: Array) -> BoolArray:
 
 
 def _not_rigid(pose: Array) -> BoolArray:
-    pose = pose.reshape(-1, 4, 4)
-    off, determinant = so3.defect(pose[:, :3, :3])
-    good = (off < _ROTATION_TOLERANCE) & (determinant > 0.0)
-    return np.asarray(~good | np.any(pose[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=1))
+    return ~se3.is_rigid(pose.reshape(-1, 4, 4), tolerance=_ROTATION_TOLERANCE)
 
 
 def _no_direction(vector: Array) -> BoolArray:

@@ -172,6 +172,19 @@ class Sequence:
             counts={**self.counts, **counts},
         )
 
+    def first(self, frames: int) -> "Sequence":
+        """Return the sequence of the first frames only, of all if these are fewer."""
+        frames = min(frames, len(self))
+        rows = slice(0, int(self.offset[frames]))
+        return replace(
+            self,
+            stamp=self.stamp[:frames],
+            offset=self.offset[: frames + 1],
+            track=self.track[rows],
+            pixels=self.pixels[rows],
+            row=self.row[rows],
+        )
+
     def mask_of(self, frame: IntArray, track: IntArray) -> BoolArray:
         """Mask ``(n,)`` of the observations with these frame indices and track ids, ``(m,)`` in any order.
 

@@ -15,14 +15,13 @@ from vislam.base.legible import quoted
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.estimator import Estimate, StepRecord
 from vislam.core.sequence import Frame
-from vislam.geometry import so3
+from vislam.geometry import se3, so3
 
 _ROTATION_TOLERANCE = 1e-4
 """How far R^T R may be from the identity: what float32 and long products leave."""
 _ROUNDING = 1e-3
 """Asymmetry and negative eigenvalues of a covariance up to this share of its largest entry are rounding: a
 landmark's is the difference of much larger ones."""
-_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def checked_step(step: Any, frame: Frame) -> StepRecord:
@@ -117,16 +116,16 @@ def _poses(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     pose = _finite(name, _array(name, value, shape))
     # Far from a rotation the products overflow, which is an answer too.
     with np.errstate(over="ignore", invalid="ignore"):
+        rigid = se3.is_rigid(pose, tolerance=_ROTATION_TOLERANCE)
+        if rigid.all():
+            return pose
         off, determinant = so3.defect(pose[..., :3, :3])
-    wrong = ~(off < _ROTATION_TOLERANCE) | ~(determinant > 0) | np.any(pose[..., 3, :] != _LAST_ROW, axis=-1)
-    if np.any(wrong):
-        first = int(np.flatnonzero(wrong)[0])
-        where = "" if pose.ndim == 2 else f" at frame {first}"
-        raise ContractError(
-            f"{name} must be rigid transforms (a rotation of determinant 1, last row 0 0 0 1){where}, got "
-            f"R^T R off by {np.ravel(off)[first]:.2g}, determinant {np.ravel(determinant)[first]:.3g}"
-        )
-    return pose
+    first = int(np.flatnonzero(~rigid)[0])
+    where = "" if pose.ndim == 2 else f" at frame {first}"
+    raise ContractError(
+        f"{name} must be rigid transforms (a rotation of determinant 1, last row 0 0 0 1){where}, got "
+        f"R^T R off by {np.ravel(off)[first]:.2g}, determinant {np.ravel(determinant)[first]:.3g}"
+    )
 
 
 def _covariance(name: str, value: Any, shape: tuple[int, ...]) -> Array | None:

@@ -5,9 +5,10 @@ The order of tangent vectors is (omega, v); see the package docstring for all co
 
 import numpy as np
 
-from vislam.base.types import Array
+from vislam.base.types import Array, BoolArray
 from vislam.geometry import so3
 
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _SMALL_ANGLE = 5e-2
 """Below this angle [rad] the fifth-order coefficient of :func:`left_jacobian` comes from its series."""
 
@@ -20,6 +21,13 @@ def from_rotation_translation(rotation: Array, translation: Array) -> Array:
     pose[..., :3, 3] = translation
     pose[..., 3, 3] = 1.0
     return pose
+
+
+def is_rigid(pose: Array, *, tolerance: float) -> BoolArray:
+    """Which of matrices ``(..., 4, 4)`` are rigid transforms, their R^T R off from the identity by less."""
+    off, determinant = so3.defect(pose[..., :3, :3])
+    whole = np.all(pose[..., 3, :] == _LAST_ROW, axis=-1)
+    return np.asarray((off < tolerance) & (determinant > 0.0) & whole)
 
 
 def inverse(pose: Array) -> Array:
