@@ -3,7 +3,6 @@
 import os
 import pickle
 import re
-import resource
 import signal
 import socket
 import stat
@@ -17,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.limits import limited
 from vislam.base.errors import NotWrittenError
 from vislam.base.files import (
     check_writable,
@@ -31,17 +31,6 @@ from vislam.base.files import (
 
 ROOT = Path(__file__).parents[1]
 LEFT = ".vislam-0123456789abcdef.tmp"
-
-
-@contextmanager
-def limited(size):
-    """Let no file of this process grow beyond a size, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @contextmanager

@@ -2,13 +2,12 @@
 
 import os
 import random
-import resource
 import shutil
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.limits import limited
 from vislam import calibrate, compare, evaluate, inspect, simulate
 from vislam.cli import table
 from vislam.comparison import compare as comparison
@@ -30,17 +29,6 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     assert compare.main([*ALONE, "--no-report", "--out", str(folder)]) == 0
     return next(folder.iterdir())
-
-
-@contextmanager
-def limited(size):
-    """Let no file of this process grow beyond a size, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 # Every way in which a command is told where to write, by what is to be written there.
