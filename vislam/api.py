@@ -282,10 +282,7 @@ def evaluate(results: "Results | Path | str") -> "Evaluation":
     from vislam.evaluation import evaluate as score  # noqa: PLC0415
 
     if not isinstance(results, Results):
-        folder = Path(results)
-        results = Results.load(folder)
-        for name, one in results.runs.items():
-            results.record.refuse_other(one, path=folder / "runs" / f"{name}.npz")
+        results = Results.load(Path(results))
     return score(results.runs, results.record)
 
 
@@ -307,14 +304,12 @@ def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
     from vislam.core.sequence import Sequence  # noqa: PLC0415
     from vislam.datasets import open as open_sequence  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
-    from vislam.inspection.checks import unrepaired  # noqa: PLC0415
+    from vislam.inspection.checks import bare_tree, unrepaired  # noqa: PLC0415
 
     if not isinstance(data, Sequence | Config) and str(data).endswith(".npz"):
         data = open_sequence(data)
     if isinstance(data, Sequence):
-        nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
-        tree = {"name": "inspection", "data": {"file": f"{data.name}.npz", "repair": nothing}}
-        return inspect_sequence(data, parse(Config, tree))
+        return inspect_sequence(data, parse(Config, bare_tree("inspection", f"{data.name}.npz")))
     loaded = load_config(data)
     raw = replace(loaded, data=unrepaired(loaded).data)
     return inspect_sequence(_opened(raw, data, data_dir=None, allow_stand_in=True).sequence, loaded)

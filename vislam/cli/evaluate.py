@@ -47,8 +47,6 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     refuse_bad_check_options(options)
     results = Results.load(options.results)
-    for name, run in results.runs.items():
-        results.record.refuse_other(run, path=options.results / "runs" / f"{name}.npz")
     results = with_trajectories(results, options.trajectory)
     checklist = read_checklist(
         results.config, against=options.against, tolerance=options.tolerance, schema_version=SCHEMA_VERSION

@@ -82,18 +82,17 @@ def _inspect(options: argparse.Namespace) -> int:
 
 
 def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
-    """Config of a bare file: nothing repaired, so that every trap is found."""
+    """Config of a bare file, found where a config would find it."""
     from vislam.base.errors import DataError  # noqa: PLC0415
-    from vislam.base.settings import LONGEST_NAME  # noqa: PLC0415
     from vislam.datasets.find import find_file, not_found, search_path  # noqa: PLC0415
+    from vislam.inspection.checks import bare_tree  # noqa: PLC0415
 
     # Beside --data-dir a file is where the command line says; a bare name is looked for as a config's is.
     folders = [*([] if data_dir is None else [data_dir]), Path(), *search_path(data_dir)]
     found = find_file(str(file), folders)
     if found is None:
         raise DataError(not_found(str(file), folders))
-    nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
-    return {"name": file.stem[:LONGEST_NAME], "data": {"file": str(found.resolve()), "repair": nothing}}
+    return bare_tree(file.stem, str(found.resolve()))
 
 
 if __name__ == "__main__":

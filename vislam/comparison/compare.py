@@ -17,7 +17,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
-from vislam.comparison.identity import code_digest, inputs_digest
+from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Unbuilt, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
@@ -104,8 +104,8 @@ def keep(results: Results, out: Path, *, report: bool) -> Path:
     DataError
         If it cannot be written.
     """
-    parts = [configuration.dump(results.config), results.record.digest, code_digest()]
-    folder = out / result_id(results.config, hashlib.sha256("|".join(parts).encode()).hexdigest())
+    identity = combine(configuration.dump(results.config), results.record.digest, code_digest())
+    folder = out / result_id(results.config, identity)
     for file in PLACES:
         check_writable(folder / file)
     keeper = FolderKeeper(folder)

@@ -99,7 +99,9 @@ def _load_run(folder: Path, name: str, record: Record) -> Run:
         reason = "not run; run the comparison again to go on with it"
         frames, observations = len(record.stamp), len(record.given.track)
         return Run.without_frames(name, reason, frames_expected=frames, observations=observations)
-    return Run.load(path)
+    run = Run.load(path)
+    record.refuse_other(run, path=path)
+    return run
 
 
 @dataclass(frozen=True)

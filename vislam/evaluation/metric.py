@@ -43,7 +43,12 @@ class MetricSpec:
     @property
     def short_label(self) -> str:
         """Short title with the unit."""
-        return with_unit(self.short or self.title, self.unit)
+        return with_unit(self.short_title, self.unit)
+
+    @property
+    def short_title(self) -> str:
+        """Short title, that of the table if there is none."""
+        return self.short or self.title
 
 
 def with_unit(title: str, unit: str) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from vislam.base.settings import LONGEST_NAME
 from vislam.base.types import Array
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
@@ -223,6 +224,12 @@ def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> N
     if not levelled:
         levelled = _levelled(book.enter(motion.third_component_unseen(cut)), repair)
     book.enter(motion.check_inertial_noise(cut, density=config.noise.twist_density, heave=levelled))
+
+
+def bare_tree(name: str, file: str) -> dict[str, Any]:
+    """Config of a bare file as plain data: nothing is repaired, so that every trap is found."""
+    nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
+    return {"name": name[:LONGEST_NAME], "data": {"file": file, "repair": nothing}}
 
 
 def unrepaired(config: Config) -> Config:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.base.errors import DataError, NotWrittenError
-from vislam.base.files import check_writable, replace_whole
+from vislam.base.files import check_writable, replace_whole, write_text
 from vislam.comparison import config as configuration
 from vislam.comparison.identity import code_digest
 from vislam.study import saved
@@ -56,8 +56,8 @@ class StudyFolder:
 
     def write_text(self, path: Path, text: str) -> None:
         """Write a text, whole or not at all; DataError if it cannot be."""
-        with told(path), replace_whole(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        with told(path):
+            write_text(path, text)
 
     def finished(self, trials: Iterable[Trial]) -> Iterator[tuple[Trial, Result]]:
         """Those of the trials that are finished, with their results, one after the other."""

@@ -43,7 +43,7 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
 def defects_table(trials: Trials, ablation: Ablation) -> Table:
     """Each defect on its own: the error where it alone is there or mended, and what it adds."""
     key = errors(trials)[0]
-    title, unit = ERRORS[key].short or ERRORS[key].title, ERRORS[key].unit
+    title, unit = ERRORS[key].short_title, ERRORS[key].unit
     header = ["defect"]
     header += [f"{run}: {title} if it alone is there [{unit}]" for run in trials.complete]
     header += [f"{run}: cost [{unit}]" for run in trials.complete]
@@ -99,7 +99,7 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
 def verdict(trials: Trials, ablation: Ablation) -> list[str]:
     """Sentences: where each estimator begins and ends, and what costs it most."""
     key = errors(trials)[0]
-    title, unit = ERRORS[key].short or ERRORS[key].title, ERRORS[key].unit
+    title, unit = ERRORS[key].short_title, ERRORS[key].unit
     told = []
     for run in trials.complete:
         ends = [_value(trials, run, key, ablation.label(present)) for present in (ablation.defects, ())]

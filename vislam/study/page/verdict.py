@@ -50,7 +50,7 @@ def _accuracy(trials: Trials) -> str:
     if not errors(trials):
         return ""
     key, rows = errors(trials)[0], np.arange(len(trials))
-    title, unit = ERRORS[key].short or ERRORS[key].title, ERRORS[key].unit
+    title, unit = ERRORS[key].short_title, ERRORS[key].unit
     found = {name: median(trials, name, key, rows=rows) for name in trials.complete}
     known = {name: one for name, one in found.items() if one is not None}
     ranked = sorted(known, key=lambda name: known[name].value)
