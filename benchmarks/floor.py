@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.timing import MEMBERS, FrameSizes, Part, Timed
 from vislam.base.types import Array
 from vislam.estimators.ekf import EkfOptions
-from vislam.estimators.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.layout import LANDMARK
+from vislam.models.odometry import NAV
 
 TARGET = 2.0
 """How much longer than its own linear algebra the filter should take at most."""

@@ -10,7 +10,8 @@ from benchmarks import filter_speed, floor
 from benchmarks.filter_speed import PARTS, Bench
 from benchmarks.fits import Polynomial, exponent
 from benchmarks.timing import MEMBERS, Drive, timed
-from vislam.estimators.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.layout import LANDMARK
+from vislam.models.odometry import NAV
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.run import Run
 from vislam.estimators.ekf import EkfEstimator, EkfOptions, chart
 from vislam.estimators.ekf.dense import DenseFilter
-from vislam.estimators.ekf.layout import NAV
+from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.state import JointState
 from vislam.estimators.loop import run
@@ -53,7 +53,7 @@ def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config:
     assert len(slots) > 5
     assert np.allclose(working.state.landmarks, dense.landmarks[slots], atol=1e-8)
     rows = np.concatenate([np.arange(12), *(12 + 4 * slot + np.arange(4) for slot in slots)])
-    own = np.concatenate([np.arange(12), np.arange(NAV, len(working.state.cov))])
+    own = np.arange(len(working.state.cov))
     cov = working.state.cov[np.ix_(own, own)]
     assert np.allclose(cov, dense.cov[np.ix_(rows, rows)], rtol=1e-6, atol=1e-10)
 
@@ -148,13 +148,14 @@ def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
 
 
 def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
-    size = NAV
+    layout = NavLayout({"twist_bias": 6, "clock": 1})
+    size = layout.size
     jacobian = Jacobian(np.eye(3, size), np.empty((0, 3, 4)), np.empty(0, np.int64))
     projected = -np.eye(3, size)
     with pytest.raises(DivergedError, match="smallest eigenvalue of H P H' is -1"):
         Update.of(jacobian, projected, -np.eye(3), np.zeros(3))
     camera_free = chart.make("point", StereoRig(1.0, 1.0, 0.0, 0.0, 1.0, np.eye(4)))
-    state = JointState(camera_free, "standard", nav=np.zeros(size), sigma=np.full(size, 0.5))
+    state = JointState(camera_free, "standard", layout, nav=np.zeros(size), sigma=np.full(size, 0.5))
     with pytest.raises(DivergedError, match=r"covariance lost, smallest eigenvalue -0\.75"):
         state.correct(Update.of(jacobian, np.eye(3, size), np.eye(3), np.zeros(3)))
 

@@ -4,21 +4,24 @@ import numpy as np
 import pytest
 
 from vislam.estimators.ekf import chart
-from vislam.estimators.ekf.layout import NAV, OFFSET
-from vislam.estimators.ekf.measurement import Camera, up_axis
+from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.measurement import Camera
+from vislam.estimators.ekf.motion import up_axis
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 N = 6
 both = pytest.mark.parametrize("kind", ["point", "disparity"])
+LAYOUT = NavLayout({"twist_bias": 6, "disparity_offset": 1})
+OFFSET = LAYOUT["disparity_offset"].start
 
 
 class Scene:
     """Landmarks seen first from one pose and now from another."""
 
     def __init__(self, kind: chart.Coordinates, rng: np.random.Generator) -> None:
-        self.camera = Camera(RIG, chart.make(kind, RIG))
+        self.camera = Camera(RIG, chart.make(kind, RIG), LAYOUT)
         self.pose = se3.exp(rng.normal(size=6))
         points_cam = np.column_stack([rng.uniform(-5, 5, (N, 2)), rng.uniform(6, 30, N)])
         self.points = se3.transform(self.pose @ RIG.imu_T_cam, points_cam)
@@ -78,7 +81,7 @@ def test_jacobians_by_navigation_state_and_landmark(scene, rng):
         found = slope(lambda h, unit=unit: scene.predict(pose=se3.retract(scene.now, h * unit)))
         assert np.allclose(by_nav[:, :, axis], found, atol=1e-4)
     assert np.allclose(by_nav[:, :, OFFSET], slope(lambda h: scene.predict(offset=h)), atol=1e-6)
-    others = [axis for axis in range(6, NAV) if axis != OFFSET]
+    others = [axis for axis in range(6, LAYOUT.size) if axis != OFFSET]
     assert not by_nav[:, :, others].any()
     for axis, unit in enumerate(np.eye(4)):
         found = slope(lambda h, u=unit: scene.predict(landmarks=scene.landmarks + h * u))

@@ -11,7 +11,7 @@ from vislam.base.types import Array
 from vislam.core.estimator import Problem
 from vislam.core.sequence import Frame
 from vislam.estimators.ekf import chart
-from vislam.estimators.ekf.layout import LANDMARK
+from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.ekf.state import ErrorForm
 from vislam.geometry import se3
@@ -47,7 +47,7 @@ class DenseFilter:
         keep_poses: bool = False,
     ) -> None:
         self._problem = problem
-        self._camera = Camera(problem.rig, chart.make(landmarks, problem.rig))
+        self._camera = Camera(problem.rig, chart.make(landmarks, problem.rig), NavLayout({"twist_bias": 6}))
         self._form = error
         self._keep_poses = keep_poses
         self.world_T_imu = np.eye(4)

@@ -6,20 +6,20 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Estimate, Problem, StepRecord
+from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
 from vislam.estimators.ekf import backward, chart
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
-from vislam.estimators.ekf.layout import CLIMB, CLOCK, LANDMARK, NAV, OFFSET, TILT
+from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
-from vislam.estimators.ekf.measurement import Camera, View, up_axis
+from vislam.estimators.ekf.measurement import Camera, View
+from vislam.estimators.ekf.motion import Block, Motion, OdometryMotion
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
-from vislam.models import odometry as motion
-from vislam.models.odometry import BIAS, POSE
+from vislam.models.odometry import POSE
 
 _NEAREST = 0.5
 """A landmark predicted nearer than this, or behind the camera, is not fused [m]."""
@@ -48,18 +48,15 @@ class EkfEstimator:
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
-        self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig))
-        nav, sigma = np.zeros(NAV), np.zeros(NAV)
-        nav[BIAS] = problem.bias_mean
-        sigma[POSE], sigma[BIAS] = problem.first_pose_sigma, problem.bias_sigma
-        sigma[CLOCK], sigma[OFFSET] = problem.clock_sigma, problem.disparity_offset_sigma
-        if problem.climb is not None:
-            sigma[TILT] = problem.climb.tilt_sigma
-        self.state = JointState(self._camera.chart, options.error, nav=nav, sigma=sigma)
+        self._motion: Motion = OdometryMotion(problem)
+        layout, nav, sigma = _navigation(problem, self._motion)
+        self._layout = layout
+        self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig), layout)
+        self.state = JointState(self._camera.chart, options.error, layout, nav=nav, sigma=sigma)
         self._recorder: Recorder | None = None
         if options.finished == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
-        self._meter = Unobservable() if options.observability else None
+        self._meter = Unobservable(layout.size) if options.observability else None
         self._left: list[Landmarks] = []
         self._poses: list[Array] = []
         self._matches: list[Array] = []
@@ -96,7 +93,7 @@ class EkfEstimator:
             points_world=landmarks.points_world,
             points_cov=landmarks.points_cov,
             counts=counts,
-            up=None if self._problem.climb is None else up_axis(self.state.nav[TILT])[0],
+            up=self._motion.up(self._layout, self.state.nav),
         )
 
     def smooth(self) -> Smoothed:
@@ -117,12 +114,12 @@ class EkfEstimator:
             state.keep(seen)
             rows = rows[seen]
         if frame.k > 0:
-            self._predict(state, frame)
+            state.predict(self._motion.propagate(self._layout, state.nav, frame))
         view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
         if self._track_noise.drift > 0.0:
             state.wander(view.drift_cov(self._track_noise.drift))
         fused, gated, update = self._fuse(state, view, frame, rows, ~refused[rows])
-        self._climb(state)
+        self._measure(state, frame)
         new = ~refused
         new[rows] = False
         self._initialise(state, frame, new)
@@ -135,30 +132,14 @@ class EkfEstimator:
         return StepRecord(
             world_T_imu=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
-            bias=state.nav[BIAS].copy(),
-            bias_sigma=np.sqrt(np.diagonal(state.cov)[BIAS]),
+            bias=state.nav[self._layout["twist_bias"]].copy(),
+            bias_sigma=np.sqrt(np.diagonal(state.cov)[self._layout["twist_bias"]]),
             nis=0.0 if update is None else update.nis,
             dof=dof,
             log_likelihood=0.0 if update is None else _log_density(update, dof),
             used=used,
             gated=all_gated,
         )
-
-    def _predict(self, state: JointState, frame: Frame) -> None:
-        """Move pose and height."""
-        problem, dt = self._problem, frame.dt
-        late = state.nav[CLOCK] / dt
-        step = motion.integrate(
-            frame.twist + late * frame.twist_change, bias=state.nav[BIAS], dt=dt, noise=problem.noise
-        )
-        transition, noise = np.eye(NAV), np.zeros((NAV, NAV))
-        transition[: motion.NAV, : motion.NAV], noise[: motion.NAV, : motion.NAV] = motion.transition(step)
-        transition[POSE, CLOCK] = -step.by_bias @ frame.twist_change / dt
-        if problem.climb is not None:
-            known = np.isfinite(frame.climb_rate)
-            state.nav[CLIMB] += dt * frame.climb_rate if known else 0.0
-            noise[CLIMB, CLIMB] = dt * problem.climb.walk**2 if known else (dt * UNKNOWN_CLIMB) ** 2
-        state.predict(step.prev_T_next, transition, noise)
 
     def _fuse(
         self, state: JointState, view: View, frame: Frame, rows: IntArray, allowed: BoolArray
@@ -184,7 +165,7 @@ class EkfEstimator:
         for _ in range(self._options.iterations - 1):
             correction = update.correction
             there = se3.retract(state.world_T_imu, correction[POSE])
-            landmarks = state.landmarks + correction[NAV:].reshape(-1, LANDMARK)
+            landmarks = state.landmarks + correction[self._layout.size :].reshape(-1, LANDMARK)
             view = self._camera.view(there, state.anchors, landmarks)
             if not (view.depth[good] > _NEAREST).all():
                 break
@@ -200,17 +181,18 @@ class EkfEstimator:
         self, state: JointState, view: View, z: Array, correction: Array | None = None
     ) -> "_Innovation":
         """Linearise the sightings of a view, which is that of the state or of where a correction leads."""
-        offset = float(state.nav[OFFSET])
         seen_from = view
         if state.form == "first_estimates":
             seen_from = self._camera.view(state.world_T_imu, state.anchors, state.linearised_at)
         by_nav, by_landmark = seen_from.jacobians()
-        jacobian = Jacobian(by_nav.reshape(-1, NAV), by_landmark, None)
+        jacobian = Jacobian(by_nav.reshape(-1, self._layout.size), by_landmark, None)
         if correction is None:
-            value = (z - view.measurement(offset)).reshape(-1)
+            value = (z - view.measurement(self._offset(state.nav))).reshape(-1)
         else:
             by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
-            value = (z - view.measurement(offset + float(correction[OFFSET]))).reshape(-1)
+            value = (z - view.measurement(self._offset(state.nav + correction[: self._layout.size]))).reshape(
+                -1
+            )
             value += jacobian.times(correction[:, None])[:, 0]
         projected = jacobian.times(state.cov)
         return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
@@ -223,28 +205,24 @@ class EkfEstimator:
             return (_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)
         return np.ones(len(distance))
 
-    def _climb(self, state: JointState) -> None:
-        """Fuse that the pose is as high above the start as the climb rate has led."""
-        if self._problem.climb is None:
-            return
-        up, by_tilt = up_axis(state.nav[TILT])
-        position = state.world_T_imu[:3, 3]
-        by_nav = np.zeros((1, NAV))
-        by_nav[0, 3:6] = up @ state.world_T_imu[:3, :3]
-        by_nav[0, TILT] = position @ by_tilt
-        by_nav[0, CLIMB] = -1.0
-        jacobian = Jacobian(by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
-        projected = jacobian.times(state.cov)
-        spread = jacobian.times(projected.T) + HEIGHT_SIGMA**2
-        innovation = np.array([state.nav[CLIMB] - up @ position])
-        state.correct(Update.of(jacobian, projected, spread, innovation))
+    def _measure(self, state: JointState, frame: Frame) -> None:
+        """Fuse what the model of motion measures."""
+        for found in self._motion.measurements(self._layout, state.world_T_imu, state.nav, frame):
+            jacobian = Jacobian(found.by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
+            projected = jacobian.times(state.cov)
+            spread = jacobian.times(projected.T) + np.diag(found.variance)
+            state.correct(Update.of(jacobian, projected, spread, found.innovation))
+
+    def _offset(self, nav: Array) -> float:
+        """How much too large all disparities are in a navigation state [px]."""
+        return float(nav[self._layout[DISPARITY_OFFSET]][0]) if DISPARITY_OFFSET in self._layout else 0.0
 
     def _initialise(self, state: JointState, frame: Frame, new: BoolArray) -> None:
         if not new.any():
             return
         rows = np.flatnonzero(new)
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(
-            state.world_T_imu, frame.z[rows], offset=float(state.nav[OFFSET])
+            state.world_T_imu, frame.z[rows], offset=self._offset(state.nav)
         )
         match = self._track_noise.match_sigma(frame.z[rows, 0] - frame.z[rows, 1])
         variance = np.column_stack([self._variance(frame, rows), match**2])
@@ -306,6 +284,19 @@ class _Innovation:
         part = Jacobian(of.by_nav[rows], of.by_landmark[good], np.flatnonzero(good))
         spread = self.spread.take(rows, axis=0).take(rows, axis=1)
         return Update.of(part, self.projected.take(rows, axis=0), spread, self.value[rows])
+
+
+def _navigation(problem: Problem, motion: Motion) -> tuple[NavLayout, Array, Array]:
+    """Layout of the navigation state, its first mean and its standard deviations."""
+    blocks = dict(motion.blocks())
+    if problem.disparity_offset_sigma > 0.0:
+        blocks[DISPARITY_OFFSET] = Block(np.zeros(1), np.array([problem.disparity_offset_sigma]))
+    layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
+    nav, sigma = np.zeros(layout.size), np.zeros(layout.size)
+    sigma[POSE] = problem.first_pose_sigma
+    for name, block in blocks.items():
+        nav[layout[name]], sigma[layout[name]] = block.mean, block.sigma
+    return layout, nav, sigma
 
 
 def _places(track: IntArray, in_frame: IntArray) -> IntArray:

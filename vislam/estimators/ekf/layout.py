@@ -1,18 +1,46 @@
-"""Where things stand in the filter's joint state: navigation first, then the landmarks.
+"""Where things stand in the joint state: named blocks of the navigation state, then the landmarks."""
 
-Pose and bias are those of :mod:`vislam.models.odometry`; behind them stand parameters that are estimated
-where their prior is not zero, and cost next to nothing where it is.
-"""
+from collections.abc import Iterator, Mapping
 
-CLOCK = 12
-"""How much later the inertial stamps are than taken for [s]."""
-OFFSET = 13
-"""How much too large all disparities are [px]."""
-TILT = slice(14, 16)
-"""Turn of the true vertical against the world's z axis, about x and y [rad]."""
-CLIMB = 16
-"""Error of the integrated climb rate [m]."""
-NAV = 17
-"""Size of the navigation state."""
+from vislam.models.odometry import POSE
+
 LANDMARK = 4
 """Size of a landmark: three coordinates, and the error of its match (``vislam.models.track_noise``)."""
+DISPARITY_OFFSET = "disparity_offset"
+"""Block of how much too large all disparities are [px]."""
+
+
+class NavLayout:
+    """Blocks of the navigation state, by name: the pose, and behind it those that a problem has in use.
+
+    A block that is not in use is not there, and costs nothing.
+
+    Parameters
+    ----------
+    blocks : mapping of str to int
+        Name and size of each block behind the pose, in order.
+
+    Attributes
+    ----------
+    size : int
+        Size of the navigation state.
+    """
+
+    def __init__(self, blocks: Mapping[str, int]) -> None:
+        self._blocks = {"pose": POSE}
+        self.size = POSE.stop
+        for name, size in blocks.items():
+            self._blocks[name] = slice(self.size, self.size + size)
+            self.size += size
+
+    def __getitem__(self, name: str) -> slice:
+        """Where a block stands."""
+        return self._blocks[name]
+
+    def __contains__(self, name: str) -> bool:
+        """Whether a block is in use."""
+        return name in self._blocks
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the blocks, in order."""
+        return iter(self._blocks)

@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.estimators.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.layout import LANDMARK
 from vislam.models.odometry import POSE
 
 
@@ -84,7 +84,7 @@ class Jacobian:
 
     Attributes
     ----------
-    by_nav : (m, NAV)
+    by_nav : (m, d_nav)
     by_landmark : (n, 3, 4)
         Of the first 3n rows; m - 3n further rows see no landmark.
     slots : (n,) or None
@@ -97,22 +97,22 @@ class Jacobian:
 
     def times(self, matrix: Array) -> Array:
         """``H A``, ``(m, k)``, for ``A (d, k)``."""
-        n, columns = len(self.by_landmark), matrix.shape[1]
-        blocks = matrix[NAV:].reshape(-1, LANDMARK, columns)
+        n, columns, nav = len(self.by_landmark), matrix.shape[1], self.by_nav.shape[1]
+        blocks = matrix[nav:].reshape(-1, LANDMARK, columns)
         if self.slots is not None:
             blocks = blocks[self.slots]
         out = np.empty((len(self.by_nav), columns))
         out[3 * n :] = 0.0
         np.matmul(self.by_landmark, blocks, out=out[: 3 * n].reshape(n, 3, columns))
-        out += self.by_nav @ matrix[:NAV]
+        out += self.by_nav @ matrix[:nav]
         return out
 
     def transposed_times(self, matrix: Array, *, size: int) -> Array:
         """``H^T A``, ``(d, k)``, for ``A (m, k)``."""
-        n, columns = len(self.by_landmark), matrix.shape[1]
+        n, columns, nav = len(self.by_landmark), matrix.shape[1], self.by_nav.shape[1]
         out = np.empty((size, columns))
-        out[:NAV] = self.by_nav.T @ matrix
-        blocks = out[NAV:].reshape(-1, LANDMARK, columns)
+        out[:nav] = self.by_nav.T @ matrix
+        blocks = out[nav:].reshape(-1, LANDMARK, columns)
         found = self.by_landmark.transpose(0, 2, 1) @ matrix[: 3 * n].reshape(n, 3, columns)
         if self.slots is None:
             blocks[...] = found
@@ -215,24 +215,25 @@ class Move(Step):
 
     Attributes
     ----------
-    transition : (NAV, NAV)
+    transition : (d_nav, d_nav)
         F.
     """
 
     transition: Array
 
     def forward(self, cov: Array, noise: Array) -> None:
-        """``F P F^T``, plus the ``noise (NAV, NAV)``."""
-        cov[:NAV, NAV:] = self.transition @ cov[:NAV, NAV:]
-        cov[NAV:, :NAV] = cov[:NAV, NAV:].T
-        cov[:NAV, :NAV] = self.transition @ cov[:NAV, :NAV] @ self.transition.T + noise
+        """``F P F^T``, plus the ``noise (d_nav, d_nav)``."""
+        nav = len(self.transition)
+        cov[:nav, nav:] = self.transition @ cov[:nav, nav:]
+        cov[nav:, :nav] = cov[:nav, nav:].T
+        cov[:nav, :nav] = self.transition @ cov[:nav, :nav] @ self.transition.T + noise
 
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- F^T N F``."""
-        information = after.information
-        information[:NAV] = self.transition.T @ information[:NAV]
-        information[:, :NAV] = information[:, :NAV] @ self.transition
-        after.vectors[:NAV] = self.transition.T @ after.vectors[:NAV]
+        information, nav = after.information, len(self.transition)
+        information[:nav] = self.transition.T @ information[:nav]
+        information[:, :nav] = information[:, :nav] @ self.transition
+        after.vectors[:nav] = self.transition.T @ after.vectors[:nav]
         return after
 
 
@@ -244,7 +245,7 @@ class Reset(Step):
     ----------
     pose : (6, 6)
         A.
-    landmarks : (d - NAV, 6) or None
+    landmarks : (d - d_nav, 6) or None
         B; None for zero.
     """
 
@@ -255,7 +256,7 @@ class Reset(Step):
         """``M P M^T``."""
         if self.landmarks is not None:
             # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
-            b = np.concatenate([np.zeros((NAV, 6)), self.landmarks])
+            b = np.concatenate([np.zeros((len(cov) - len(self.landmarks), 6)), self.landmarks])
             half = cov[:, POSE] + 0.5 * b @ cov[POSE, POSE]
             cov += np.hstack([b, half]) @ np.hstack([half, b]).T
         cov[POSE] = self.pose @ cov[POSE]
@@ -268,9 +269,10 @@ class Reset(Step):
         information[:, POSE] = information[:, POSE] @ self.pose
         vectors[POSE] = self.pose.T @ vectors[POSE]
         if self.landmarks is not None:
-            information[POSE] += self.landmarks.T @ information[NAV:]
-            information[:, POSE] += information[:, NAV:] @ self.landmarks
-            vectors[POSE] += self.landmarks.T @ vectors[NAV:]
+            nav = len(vectors) - len(self.landmarks)
+            information[POSE] += self.landmarks.T @ information[nav:]
+            information[:, POSE] += information[:, nav:] @ self.landmarks
+            vectors[POSE] += self.landmarks.T @ vectors[nav:]
         return after
 
 
@@ -280,7 +282,7 @@ class Append(Step):
 
     Attributes
     ----------
-    by_nav : (k, NAV)
+    by_nav : (k, d_nav)
         G.
     """
 
@@ -288,12 +290,12 @@ class Append(Step):
 
     def forward(self, cov: Array, noise: Array) -> Array:
         """Grow the covariance; ``noise (n, 4, 4)`` is that of each new landmark."""
-        size, added, n = len(cov), len(self.by_nav), len(noise)
+        size, (added, nav), n = len(cov), self.by_nav.shape, len(noise)
         out = np.empty((size + added, size + added))
         out[:size, :size] = cov
-        out[size:, :size] = self.by_nav @ cov[:NAV]
+        out[size:, :size] = self.by_nav @ cov[:nav]
         out[:size, size:] = out[size:, :size].T
-        own = out[size:, :NAV] @ self.by_nav.T
+        own = out[size:, :nav] @ self.by_nav.T
         blocks = own.reshape(n, LANDMARK, n, LANDMARK)
         each = np.arange(n)
         blocks[each, :, each, :] += noise
@@ -302,14 +304,14 @@ class Append(Step):
 
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- G^T N G`` on the navigation state, the rest as it was."""
-        size = len(after.vectors) - len(self.by_nav)
+        size, nav = len(after.vectors) - len(self.by_nav), self.by_nav.shape[1]
         information = after.information[:size, :size].copy()
         mixed = self.by_nav.T @ after.information[size:]
-        information[:NAV] += mixed[:, :size]
-        information[:, :NAV] += mixed[:, :size].T
-        information[:NAV, :NAV] += mixed[:, size:] @ self.by_nav
+        information[:nav] += mixed[:, :size]
+        information[:, :nav] += mixed[:, :size].T
+        information[:nav, :nav] += mixed[:, size:] @ self.by_nav
         vectors = after.vectors[:size].copy()
-        vectors[:NAV] += self.by_nav.T @ after.vectors[size:]
+        vectors[:nav] += self.by_nav.T @ after.vectors[size:]
         return Adjoint(information, vectors)
 
 

@@ -1,4 +1,4 @@
-"""The measurements of the joint state: values and Jacobians of stereo sightings, and of the climb rate.
+"""The measurements of the joint state: values and Jacobians of stereo sightings.
 
 A landmark is (q, e): three coordinates in a :mod:`chart <vislam.estimators.ekf.chart>`, and the share e by
 which its disparity is too large because the right patch follows another point than the left one. With the
@@ -15,7 +15,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.estimators.ekf.chart import Chart
-from vislam.estimators.ekf.layout import LANDMARK, NAV, OFFSET
+from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 from vislam.models.odometry import POSE
@@ -32,10 +32,13 @@ class Camera:
     ----------
     rig : StereoRig
     chart : Chart
+    layout : NavLayout
+        Of the navigation state that Jacobians are taken by.
     """
 
     rig: StereoRig
     chart: Chart
+    layout: NavLayout
 
     def view(self, world_T_imu: Array, anchors: Array, landmarks: Array) -> "View":
         """Look at landmarks ``(n, 4)``, their anchors ``(n, 4, 4)`` in the world, from a pose ``(4, 4)``."""
@@ -51,7 +54,7 @@ class Camera:
         -------
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, 4, NAV)
+        by_nav : (n, 4, d_nav)
             Derivative with respect to the navigation state.
         by_measurement : (n, 4, 4)
             Derivative with respect to (uL, uR, v) and to the error of the match.
@@ -81,10 +84,11 @@ class Camera:
         # The disparity of the point itself is (uL - uR - o) / (1 + e).
         by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
         by_measurement[:, 3, 3] = 1.0
-        by_nav = np.zeros((n, LANDMARK, NAV))
+        by_nav = np.zeros((n, LANDMARK, self.layout.size))
         imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
         by_nav[:, :3, POSE] = chart.moved(landmarks[:, :3]) @ imu_to_anchor
-        by_nav[:, :3, OFFSET] = by_measurement[:, :3, 1]
+        if DISPARITY_OFFSET in self.layout:
+            by_nav[:, :3, self.layout[DISPARITY_OFFSET]] = by_measurement[:, :3, 1:2]
         return np.broadcast_to(anchor, (n, 4, 4)), landmarks, by_nav, by_measurement
 
 
@@ -127,7 +131,7 @@ class View:
 
         Returns
         -------
-        by_nav : (n, 3, NAV)
+        by_nav : (n, 3, d_nav)
             With respect to the navigation state. Its pose block is minus the derivative that the report's
             eq. (26) has, whose sign and inverse are wrong.
         by_landmark : (n, 3, 4)
@@ -146,10 +150,12 @@ class View:
         by_camera[:, 1, 3] = -stretch * rig.fx * rig.baseline / z
         in_imu = self.in_camera @ rig.imu_T_cam[:3].T
         by_imu = by_camera[:, :, :3] @ rig.cam_T_imu[:3, :3]
-        by_nav = np.zeros((len(z), 3, NAV))
+        layout = self.camera.layout
+        by_nav = np.zeros((len(z), 3, layout.size))
         by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
         by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
-        by_nav[:, 1, OFFSET] = -1.0
+        if DISPARITY_OFFSET in layout:
+            by_nav[:, 1, layout[DISPARITY_OFFSET]] = -1.0
         by_landmark = np.empty((len(z), 3, LANDMARK))
         by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.chart.linear)
         by_landmark[:, :, 3] = 0.0
@@ -164,10 +170,3 @@ class View:
         )
         step = self.camera.chart.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
         return np.asarray(step @ step.transpose(0, 2, 1))
-
-
-def up_axis(tilt: Array) -> tuple[Array, Array]:
-    """Up ``(3,)`` in a world tilted by ``(2,)`` [rad] about x and y, and its derivative ``(3, 2)``."""
-    omega = np.array([tilt[0], tilt[1], 0.0])
-    up = so3.exp(omega)[:, 2]
-    return up, (-so3.hat(up) @ so3.left_jacobian(omega))[:, :2]

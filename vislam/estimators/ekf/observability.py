@@ -13,7 +13,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.estimators.ekf.layout import NAV
 from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.models.odometry import POSE
 
@@ -23,14 +22,20 @@ class Unobservable:
 
     Without gravity among the measurements all six cannot be observed.
 
+    Parameters
+    ----------
+    size : int
+        Size of the navigation state.
+
     Attributes
     ----------
     directions : (d, 6)
         The errors of the state that unit motions (omega, v) of the world are, in the first pose's frame.
     """
 
-    def __init__(self) -> None:
-        self.directions: Array = np.zeros((NAV, 6))
+    def __init__(self, size: int) -> None:
+        self._nav = size
+        self.directions: Array = np.zeros((size, 6))
         self.directions[POSE] = np.eye(6)
 
     def follow(self, steps: Iterable[Step]) -> Array:
@@ -42,19 +47,19 @@ class Unobservable:
 
     def _take(self, step: Step) -> Array:
         """Follow one step; what a farewell to landmarks or a note of the pose is changes nothing."""
-        held = self.directions
+        held, nav = self.directions, self._nav
         match step:
             case Update():
                 seen = step.jacobian.times(held)
                 return np.asarray(np.sum(seen**2 / _white(step)[:, None], axis=0))
             case Move():
-                held[:NAV] = step.transition @ held[:NAV]
+                held[:nav] = step.transition @ held[:nav]
             case Reset():
                 if step.landmarks is not None:
-                    held[NAV:] += step.landmarks @ held[POSE]
+                    held[nav:] += step.landmarks @ held[POSE]
                 held[POSE] = step.pose @ held[POSE]
             case Append():
-                self.directions = np.concatenate([held, step.by_nav @ held[:NAV]])
+                self.directions = np.concatenate([held, step.by_nav @ held[:nav]])
             case Keep():
                 self.directions = held[step.rows]
         return np.zeros(6)

@@ -8,8 +8,9 @@ import numpy as np
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.estimators.ekf.chart import Chart
-from vislam.estimators.ekf.layout import LANDMARK, NAV
+from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.motion import Propagation
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 
@@ -70,21 +71,24 @@ class JointState:
 
     Attributes
     ----------
+    layout : NavLayout
+        Blocks of the navigation state.
     world_T_imu : (4, 4)
-    nav : (NAV,)
-        Navigation parameters; those of the pose are not used.
+    nav : (d_nav,)
+        Navigation state but for the pose, whose numbers are not used.
     track : (n,)
         Ids of the landmarks.
     anchors : (n, 4, 4)
     landmarks, first : (n, 4)
         Landmarks as estimated now, and as first estimated.
-    cov : (NAV + 4n, NAV + 4n)
+    cov : (d_nav + 4n, d_nav + 4n)
     steps : list of Step or None
         Where steps are noted for the way back.
     """
 
-    def __init__(self, chart: Chart, form: ErrorForm, *, nav: Array, sigma: Array) -> None:
+    def __init__(self, chart: Chart, form: ErrorForm, layout: NavLayout, *, nav: Array, sigma: Array) -> None:
         self.chart = chart
+        self.layout = layout
         self.form = form
         self.world_T_imu = np.eye(4)
         self.nav = nav.copy()
@@ -97,7 +101,7 @@ class JointState:
 
     def copy(self) -> "JointState":
         """Return a state that shares no memory which either would write to, and that notes no steps."""
-        other = JointState(self.chart, self.form, nav=self.nav, sigma=np.zeros(NAV))
+        other = JointState(self.chart, self.form, self.layout, nav=self.nav, sigma=np.zeros(len(self.nav)))
         other.world_T_imu, other.track, other.anchors = self.world_T_imu, self.track, self.anchors
         other.landmarks, other.first, other.cov = self.landmarks, self.first, self.cov.copy()
         return other
@@ -115,20 +119,21 @@ class JointState:
 
     def variances(self) -> Array:
         """Variances of the landmarks' coordinates, ``(n, 4)``."""
-        return np.diagonal(self.cov)[NAV:].reshape(-1, LANDMARK)
+        return np.diagonal(self.cov)[self.layout.size :].reshape(-1, LANDMARK)
 
-    def predict(self, prev_T_next: Array, transition: Array, noise: Array) -> None:
-        """Move the pose by a step; ``F`` and ``Q`` are ``(NAV, NAV)``."""
-        self.world_T_imu = self.world_T_imu @ prev_T_next
-        move = Move(transition)
-        move.forward(self.cov, noise)
+    def predict(self, step: Propagation) -> None:
+        """Take a step of the model of motion."""
+        self.world_T_imu = self.world_T_imu @ step.prev_T_next
+        self.nav = self.nav + step.change
+        move = Move(step.transition)
+        move.forward(self.cov, step.noise)
         self._note(move)
 
     def wander(self, noise: Array) -> None:
         """Let the landmarks' coordinates walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
-        n = len(self.track)
+        n, nav = len(self.track), self.layout.size
         each = np.arange(n)
-        blocks = self.cov[NAV:, NAV:].reshape(n, LANDMARK, n, LANDMARK)
+        blocks = self.cov[nav:, nav:].reshape(n, LANDMARK, n, LANDMARK)
         blocks[each, :3, each, :3] += noise
 
     def correct(self, update: Update) -> None:
@@ -159,11 +164,11 @@ class JointState:
         track : (n,)
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, 4, NAV)
+        by_nav : (n, 4, d_nav)
         noise : (n, 4, 4)
             Covariances for a known navigation state.
         """
-        step = Append(by_nav.reshape(-1, NAV))
+        step = Append(by_nav.reshape(-1, self.layout.size))
         self.cov = step.forward(self.cov, noise)
         self._note(step)
         self.track = np.concatenate([self.track, track])
@@ -175,7 +180,7 @@ class JointState:
         """Marginalise the landmarks outside the mask ``(n,)``: their rows and columns go."""
         if self.steps is not None:
             self.steps.append(self.farewell(np.flatnonzero(~mask)))
-        step = Keep(np.concatenate([np.ones(NAV, bool), np.repeat(mask, LANDMARK)]))
+        step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, LANDMARK)]))
         self.cov = step.forward(self.cov)
         self._note(step)
         self.track, self.anchors = self.track[mask], self.anchors[mask]
@@ -183,8 +188,9 @@ class JointState:
 
     def farewell(self, slots: IntArray) -> "Farewell":
         """What is known of some landmarks now."""
-        rows = self.cov[NAV:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
-        columns = NAV + LANDMARK * slots[:, None] + np.arange(3)
+        nav = self.layout.size
+        rows = self.cov[nav:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
+        columns = nav + LANDMARK * slots[:, None] + np.arange(3)
         return Farewell(
             track=self.track[slots],
             q=self.landmarks[slots, :3],
@@ -200,10 +206,10 @@ class JointState:
     def _retract(self, error: Array) -> Reset | None:
         """Correct the mean; return what becomes of the coordinates of the error."""
         before = self.world_T_imu
-        landmarks = self.landmarks
-        self.nav = self.nav + error[:NAV]
+        landmarks, nav = self.landmarks, self.layout.size
+        self.nav = self.nav + error[:nav]
         self.world_T_imu = se3.retract(before, error[POSE])
-        self.landmarks = landmarks + error[NAV:].reshape(-1, LANDMARK)
+        self.landmarks = landmarks + error[nav:].reshape(-1, LANDMARK)
         if self.form == "standard":
             return None
         kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
