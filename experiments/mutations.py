@@ -64,8 +64,8 @@ MUTATIONS = (
     Mutation(
         "gate decisions ignored by the smoother",
         "vislam/estimators/smoother/incremental.py",
-        "self._tracks.take(frame, refused)",
-        "self._tracks.take(frame, np.zeros_like(refused))",
+        "solver.tracks.take(frame, refused)",
+        "solver.tracks.take(frame, np.zeros_like(refused))",
         ("tests/test_testing.py",),
     ),
     Mutation(
@@ -85,7 +85,13 @@ MUTATIONS = (
         "_HUBER_DISTANCE / np.maximum(distance, 1e-12)",
         EKF,
     ),
-    Mutation("climb with the wrong sign", FILTER, "by_nav[0, CLIMB] = -1.0", "by_nav[0, CLIMB] = 1.0", EKF),
+    Mutation(
+        "climb with the wrong sign",
+        "vislam/estimators/ekf/motion.py",
+        'by_nav[0, layout["climb"]] = -1.0',
+        'by_nav[0, layout["climb"]] = 1.0',
+        EKF,
+    ),
     Mutation(
         "match error left out of a new landmark",
         FILTER,
@@ -141,8 +147,8 @@ MUTATIONS = (
     Mutation(
         "cross-covariance of navigation and landmarks dropped",
         "vislam/estimators/ekf/linear.py",
-        "cov[:NAV, NAV:] = self.transition @ cov[:NAV, NAV:]",
-        "cov[:NAV, NAV:] = 0.0 * cov[:NAV, NAV:]",
+        "cov[:nav, nav:] = self.transition @ cov[:nav, nav:]",
+        "cov[:nav, nav:] = 0.0 * cov[:nav, nav:]",
         EKF,
     ),
     Mutation(
@@ -210,7 +216,7 @@ MUTATIONS = (
     ),
     Mutation(
         "motion factor without the step",
-        "vislam/estimators/smoother/factors.py",
+        "vislam/estimators/smoother/motion.py",
         "3.0 * (density / frame.dt) ** 2",
         "3.0 * density**2",
         SMOOTHER,
@@ -224,7 +230,7 @@ MUTATIONS = (
     ),
     Mutation(
         "climb's walk without the root",
-        "vislam/estimators/smoother/factors.py",
+        "vislam/estimators/smoother/motion.py",
         "np.sqrt(frame.dt) * problem.climb.walk",
         "frame.dt * problem.climb.walk",
         SMOOTHER,

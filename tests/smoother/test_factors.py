@@ -9,8 +9,9 @@ from scipy.stats import chi
 from tests.smoother.drives import RIG
 from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
 from vislam.core.sequence import Frame
-from vislam.estimators.smoother.factors import _KERNELS, FactorBuilder
+from vislam.estimators.smoother.factors import _KERNELS, StereoFactors
 from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
+from vislam.estimators.smoother.motion import OdometryMotion
 from vislam.estimators.smoother.tracks import View
 from vislam.geometry import se3
 from vislam.models import TrackNoise
@@ -58,7 +59,7 @@ def two_frames(rng, **more):
 
 def motion_factor(rng):
     first, second = two_frames(rng)
-    factor = FactorBuilder(problem()).step(second, first)[0]
+    factor = OdometryMotion(problem()).factors(second, first)[0]
     motion, values = 0.5 * rng.normal(size=6), gtsam.Values()
     start = se3.exp(rng.normal(size=6))
     w = rng.normal(size=6)
@@ -151,7 +152,7 @@ def test_jacobians_of_the_stereo_factor(rng):
     point = se3.transform(pose @ RIG.imu_T_cam, np.array([[1.0, -0.5, 8.0]]))[0]
     off, sigma = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.4, 0.2])
     z = RIG.project(np.array([1.0, -0.5, 8.0])) + off
-    factor = FactorBuilder(problem()).stereo(3, key, z=z, sigma=sigma)
+    factor = StereoFactors(RIG).stereo(3, key, z=z, sigma=sigma)
     values = gtsam.Values()
     values.insert(X(3), gtsam.Pose3(pose))
     values.insert(key, point)
@@ -161,7 +162,7 @@ def test_jacobians_of_the_stereo_factor(rng):
 
 def test_the_prior_of_the_bias_in_terms_of_the_first_twist(rng):
     first, second = two_frames(rng)
-    prior = FactorBuilder(problem()).step(second, first)[1]
+    prior = OdometryMotion(problem()).factors(second, first)[1]
     bias, values = rng.normal(size=6), gtsam.Values()
     values.insert(W(1), second.twist - bias)
     assert np.isclose(prior.error(values), 0.5 * np.sum(((bias - BIAS_MEAN) / BIAS_SIGMA) ** 2))
@@ -171,7 +172,7 @@ def test_the_prior_of_the_bias_in_terms_of_the_first_twist(rng):
 def test_the_walk_of_the_bias_in_terms_of_the_twists(rng):
     _, second = two_frames(rng)
     third = frame(2, dt=0.2, twist=rng.normal(size=6))
-    walk = FactorBuilder(problem()).step(third, second)[1]
+    walk = OdometryMotion(problem()).factors(third, second)[1]
     bias, later, values = rng.normal(size=6), rng.normal(size=6), gtsam.Values()
     values.insert(W(1), second.twist - bias)
     values.insert(W(2), third.twist - later)
@@ -184,16 +185,16 @@ def test_the_walk_of_the_bias_in_terms_of_the_twists(rng):
 def test_the_clock_moves_the_twist_by_its_slope(rng):
     first, second = two_frames(rng)
     third = frame(2, dt=0.2, twist=rng.normal(size=6), change=0.1 * rng.normal(size=6))
-    builder = FactorBuilder(problem(clock_sigma=0.01))
+    builder = OdometryMotion(problem(clock_sigma=0.01))
     clock, bias, later = 0.007, rng.normal(size=6), rng.normal(size=6)
     values = gtsam.Values()
     values.insert(CLOCK, np.array([clock]))
     values.insert(W(1), second.twist + clock * second.twist_change / second.dt - bias)
     values.insert(W(2), third.twist + clock * third.twist_change / third.dt - later)
-    _, of_clock, of_bias = builder.step(second, first)
+    _, of_clock, of_bias = builder.factors(second, first)
     assert np.isclose(of_clock.error(values), 0.5 * (clock / 0.01) ** 2)
     assert np.isclose(of_bias.error(values), 0.5 * np.sum(((bias - BIAS_MEAN) / BIAS_SIGMA) ** 2))
-    walk = builder.step(third, second)[1]
+    walk = builder.factors(third, second)[1]
     assert np.isclose(walk.error(values), 0.5 * np.sum((later - bias) ** 2 / (second.dt * WALK**2)))
     assert builder.tied(1) == [X(1), W(1), CLOCK]
 
@@ -201,8 +202,8 @@ def test_the_clock_moves_the_twist_by_its_slope(rng):
 @pytest.mark.parametrize("known", [True, False])
 def test_the_climb_ties_the_height_to_its_rate_and_the_pose_to_the_height(rng, known):
     first, second = two_frames(rng, climb_rate=0.8 if known else np.nan)
-    builder = FactorBuilder(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05)))
-    *_, between, level = builder.step(second, first)
+    builder = OdometryMotion(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05)))
+    *_, between, level = builder.factors(second, first)
     values = gtsam.Values()
     values.insert(H(0), np.array([0.0, 0.0, 0.2]))
     values.insert(H(1), np.array([0.0, 0.0, 0.5]))
@@ -218,7 +219,7 @@ def test_the_climb_ties_the_height_to_its_rate_and_the_pose_to_the_height(rng, k
 
 def test_with_the_climb_the_first_pose_is_free_to_tilt_and_starts_at_height_zero(rng):
     first, _ = two_frames(rng)
-    pose, height, level = FactorBuilder(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05))).step(
+    pose, height, level = OdometryMotion(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05))).factors(
         first, None
     )
     values = gtsam.Values()
@@ -231,7 +232,7 @@ def test_with_the_climb_the_first_pose_is_free_to_tilt_and_starts_at_height_zero
 
 def test_smart_factor_is_the_stereo_factors_without_their_landmark(rng):
     """With a landmark at its optimum and little noise; GTSAM triangulates linearly."""
-    builder, point = FactorBuilder(problem()), np.array([12.0, 1.0, 2.0])
+    builder, point = StereoFactors(RIG), np.array([12.0, 1.0, 2.0])
     key, values, sigma = landmark(0, 12.0), gtsam.Values(), np.full(3, 0.4)
     values.insert(key, point)
     views, plain = [], []
@@ -293,8 +294,8 @@ def test_a_robust_stereo_factor_weighs_by_the_norm_of_the_whitened_residual(rng)
     values.insert(X(0), gtsam.Pose3())
     values.insert(key, se3.transform(RIG.imu_T_cam, point)[0])
     z = RIG.project(point[0]) + off
-    robust = FactorBuilder(problem(), robust="huber").stereo(0, key, z=z, sigma=sigma)
+    robust = StereoFactors(RIG, robust="huber").stereo(0, key, z=z, sigma=sigma)
     whitened = np.linalg.norm(off / sigma)
     assert np.isclose(robust.error(values), 1.628 * (whitened - 0.5 * 1.628))
-    wide = FactorBuilder(problem(), robust="huber", threshold=100.0).stereo(0, key, z=z, sigma=sigma)
+    wide = StereoFactors(RIG, robust="huber", threshold=100.0).stereo(0, key, z=z, sigma=sigma)
     assert np.isclose(wide.error(values), 0.5 * whitened**2)

@@ -56,7 +56,7 @@ def check_set_aside_is_not_used(result, estimator, sequence):
     """What is set aside has no observation in ``used``, and no factor that could be taken out."""
     fused = np.unique(sequence.track[result.used])
     assert np.array_equal(fused, np.unique(result.track))
-    held = estimator._engine.factors()
+    held = estimator._solver.engine.factors()
     keys = {
         key
         for slot in range(held.size())
@@ -64,7 +64,7 @@ def check_set_aside_is_not_used(result, estimator, sequence):
         for key in list(held.at(slot).keys())
         if chr(gtsam.symbolChr(key)) != "x"
     }
-    assert keys <= {track.key for track in estimator._tracks.landmarks}
+    assert keys <= {track.key for track in estimator._solver.tracks.landmarks}
 
 
 @pytest.mark.parametrize("name", MEMBERS)
@@ -109,7 +109,7 @@ def test_landmarks_that_errors_name_one_after_the_other_are_all_set_aside(name, 
     assert result.counts["rescues"] == 1
     assert "3 landmarks set aside" in result.events[0]
     check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
-    assert not {track.key for track in estimator._tracks.landmarks} & set(named)
+    assert not {track.key for track in estimator._solver.tracks.landmarks} & set(named)
 
 
 @pytest.mark.parametrize("name", MEMBERS)
@@ -128,7 +128,7 @@ def test_a_pose_that_is_not_finite_is_rescued(name, simulated, monkeypatch):
     assert result.complete
     assert result.counts["rescues"] == 1
     assert result.events[0].startswith(f"frame {AT}: the pose is not finite")
-    for track in estimator._tracks.landmarks:
+    for track in estimator._solver.tracks.landmarks:
         assert len(set(track.slots)) == len(track.slots)
     check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
 
@@ -147,8 +147,8 @@ def test_a_try_that_fails_when_it_is_read_leaves_the_next_one_its_factors(simula
     assert result.complete
     assert result.counts["rescues"] == 1
     assert [event.partition(":")[0] for event in result.events] == [f"frame {AT}"] * 2
-    held = estimator._engine.factors()
-    for track in estimator._tracks.landmarks:
+    held = estimator._solver.engine.factors()
+    for track in estimator._solver.tracks.landmarks:
         assert len(track.slots) == len(track.views)
         assert all(track.key in list(held.at(slot).keys()) for slot in track.slots)
 
@@ -162,7 +162,7 @@ def test_the_first_failure_of_cholesky_goes_over_to_qr_and_is_no_rescue(name, si
     assert result.complete
     assert result.counts["rescues"] == 0
     assert result.events == (f"frame {AT}: planted to Cholesky; QR from here on",)
-    assert estimator._factorization == "qr"
+    assert estimator._solver.factorization == "qr"
     assert np.array_equal(result.used, plain.used)
     assert np.allclose(result.world_T_imu, plain.world_T_imu, atol=2e-3)
 
@@ -173,7 +173,7 @@ def test_cholesky_that_was_asked_for_is_kept(name, simulated, monkeypatch):
     result, estimator = go(name, simulated, factorization="cholesky")
     assert result.complete
     assert result.counts["rescues"] == 1
-    assert estimator._factorization == "cholesky"
+    assert estimator._solver.factorization == "cholesky"
 
 
 @pytest.mark.parametrize("name", MEMBERS)
@@ -240,11 +240,13 @@ def test_a_lag_goes_on_after_a_rescue_that_came_with_marginals(simulated, monkey
     assert ate(result.world_T_imu, dataset) < 1.0
     held = {
         chr(gtsam.symbolChr(key)) + str(gtsam.symbolIndex(key))
-        for key in list(estimator._engine.estimate().keys())
+        for key in list(estimator._solver.engine.estimate().keys())
     }
     assert not {f"x{k}" for k in range(69)} & held
-    own = {track.key for track in estimator._tracks.landmarks}
+    own = {track.key for track in estimator._solver.tracks.landmarks}
     points = {
-        key for key in list(estimator._engine.estimate().keys()) if chr(gtsam.symbolChr(key)) not in "xwv"
+        key
+        for key in list(estimator._solver.engine.estimate().keys())
+        if chr(gtsam.symbolChr(key)) not in "xwv"
     }
     assert points <= own

@@ -90,11 +90,11 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
     assert set(dataset.sequence.track[result.used]) == set(result.track)
     assert not result.gated.any()
     if name in ("isam2", "isam2_norelin", "batch"):
-        held = estimator._engine.factors()
+        held = estimator._solver.engine.factors()
         stereo = [held.at(slot) for slot in range(held.size()) if held.exists(slot)]
         stereo = [factor for factor in stereo if isinstance(factor, gtsam.GenericStereoFactor3D)]
         # The factors of what has just gone astray are taken out with the next frame.
-        assert len(stereo) == result.used.sum() + len(estimator._remove)
+        assert len(stereo) == result.used.sum() + len(estimator._solver._remove)
 
 
 def test_a_track_that_waited_is_fused_with_all_its_views(simulated):
@@ -124,7 +124,7 @@ def test_without_relinearisation_nothing_is_ever_relinearised(name, simulated, m
         first.clear()
         estimator = BUILD[name](problem, options)
         assert run(estimator, dataset.sequence, sigma, name=name).complete
-        now = estimator._engine.linearization_point()
+        now = estimator._solver.engine.linearization_point()
         poses = [
             np.array([values.atPose3(X(k)).matrix() for k in range(len(dataset.sequence))])
             for values in (first, now)
@@ -194,7 +194,7 @@ def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
     estimator = smoother(make_problem(config, dataset))
     result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
     assert result.complete
-    assert abs(estimator._clock - 0.04) < 0.01
+    assert abs(estimator._motion._clock - 0.04) < 0.01
 
 
 @pytest.mark.slow

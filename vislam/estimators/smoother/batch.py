@@ -10,8 +10,9 @@ from scipy.stats import chi2
 from vislam.base.types import Array, BoolArray
 from vislam.core.sequence import Frame
 from vislam.estimators.smoother.descent import Budget, Descent, descend
-from vislam.estimators.smoother.factors import FactorBuilder
+from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.motion import Motion
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
@@ -63,35 +64,37 @@ class Drive:
     Attributes
     ----------
     rig : StereoRig
-    factors : FactorBuilder
+    motion : Motion
+    stereo : StereoFactors
     frames : sequence of Frame
     tracks : list of Track
         Its landmarks; outliers are taken out of them.
     """
 
     rig: StereoRig
-    factors: FactorBuilder
+    motion: Motion
+    stereo: StereoFactors
     frames: Sequence[Frame]
     tracks: list[Track]
-    _motion: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
+    _without_tracks: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
 
-    def motion(self) -> gtsam.NonlinearFactorGraph:
+    def without_tracks(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the stereo ones; a graph that may be added to."""
-        if self._motion is None:
-            self._motion = gtsam.NonlinearFactorGraph()
+        if self._without_tracks is None:
+            self._without_tracks = gtsam.NonlinearFactorGraph()
             for k, frame in enumerate(self.frames):
-                for factor in self.factors.step(frame, self.frames[k - 1] if k else None):
-                    self._motion.add(factor)
-        return gtsam.NonlinearFactorGraph(self._motion)
+                for factor in self.motion.factors(frame, self.frames[k - 1] if k else None):
+                    self._without_tracks.add(factor)
+        return gtsam.NonlinearFactorGraph(self._without_tracks)
 
     def graph(self, weights: Array | None = None) -> gtsam.NonlinearFactorGraph:
         """All factors, the stereo ones last; ``weights`` are put on the squared residuals of these."""
-        graph = self.motion()
+        graph = self.without_tracks()
         views = [(track.key, view) for track in self.tracks for view in track.views]
         scale = np.ones(len(views)) if weights is None else 1.0 / np.sqrt(np.maximum(weights, _NO_WEIGHT))
         for (key, view), much in zip(views, scale.tolist(), strict=True):
             sigma = view.sigma if much == 1.0 else much * view.sigma
-            graph.add(self.factors.stereo(view.k, key, z=view.z, sigma=sigma))
+            graph.add(self.stereo.stereo(view.k, key, z=view.z, sigma=sigma))
         return graph
 
     def poses(self, values: gtsam.Values) -> Array:
@@ -119,9 +122,9 @@ class Drive:
                 rounds=options.final_iterations,
                 budget=budget,
             )
-        graph = self.motion()
+        graph = self.without_tracks()
         for track in self.tracks:
-            graph.add(self.factors.smart(track.views))
+            graph.add(self.stereo.smart(track.views))
         start = only(values, graph)
         found = minimise(graph, start, restart=gtsam.Values, rounds=1, budget=budget)
         everything = gtsam.Values(values)

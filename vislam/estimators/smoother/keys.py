@@ -1,7 +1,7 @@
 """Keys of the graph.
 
 ``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end
-that nothing else asks for (see :mod:`vislam.estimators.smoother.factors`), ``H(k)`` the height as the climb
+that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``H(k)`` the height as the climb
 rate has led, and ``CLOCK`` what is left of the clock offset. The letter of a landmark tells its depth.
 
 iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that moves by 1 m changes

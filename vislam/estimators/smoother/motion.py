@@ -1,0 +1,202 @@
+"""Models of motion as the smoother takes them: factors between frames, their variables and first values.
+
+All factors are GTSAM's own. A factor written in Python is handed a copy of all values each time it is
+linearised, so that a step would take the longer the longer the drive already is.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import gtsam
+import gtsam_unstable
+import numpy as np
+
+from vislam.base.types import Array
+from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.sequence import Frame
+from vislam.estimators.smoother.engine import Engine
+from vislam.estimators.smoother.keys import CLOCK, H, V, W, X
+from vislam.geometry import se3
+
+_UNUSED = 1.0
+"""Spread of the two coordinates of a height's point that no factor asks for [m]."""
+_SMALLEST_DENSITY = 1e-9
+
+
+class Motion(Protocol):
+    """A model of motion, and what it has read of its own variables so far."""
+
+    def factors(self, frame: Frame, before: Frame | None) -> Sequence[gtsam.NonlinearFactor]:
+        """All factors of a frame but those of its tracks; ``before`` is None for the first frame."""
+        ...
+
+    def predict(self, frame: Frame, pose: Array) -> Array:
+        """Predict the pose ``(4, 4)`` at a frame from that at the frame before, by what was read last."""
+        ...
+
+    def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
+        """Give the variables of a frame their first values, after it was predicted."""
+        ...
+
+    def keys(self, k: int) -> list[int]:
+        """Keys of a frame's own variables."""
+        ...
+
+    def tied(self, k: int) -> list[int]:
+        """Keys that the factors of the next frame tie to."""
+        ...
+
+    def read(self, engine: Engine, frame: Frame) -> None:
+        """Read the variables of the newest frame."""
+        ...
+
+    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
+        """Twist bias ``(6,)`` as read last and, if asked for, its standard deviation [rad/s, m/s]."""
+        ...
+
+
+class OdometryMotion:
+    """The recorded twist less its bias, its clock, and the climb rate, in the project's tangent order.
+
+    The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and
+    n of covariance ``dt diag(density^2)``: :func:`vislam.models.odometry.integrate` with the noise told on
+    the twist. GTSAM has it as a part of its white-noise-on-acceleration prior (Anderson and Barfoot, IROS
+    2015), between a pose and a twist before and after. Its twist after the step is here a variable of its
+    own, ``V(k)``, in no other factor: it takes up the other half of the error whatever that is, and of the
+    first half, whose covariance is ``dt^3 / 3 Qc``, nothing is lost.
+
+    As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``.
+
+    With the climb rate in use, the world's z axis is up and the first pose is free to be tilted; else the
+    first pose is the identity.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._estimate_clock = problem.clock_sigma > 0.0
+        """Whether the clock is a variable."""
+        self._bias = np.array(problem.bias_mean)
+        self._twist = np.zeros(6)
+        self._clock = self._height = 0.0
+
+    def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
+        """Priors, motion, walk of the bias, climb."""
+        k, problem = frame.k, self._problem
+        if before is None:
+            factors: list[gtsam.NonlinearFactor] = [
+                gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), _sigmas(self._first_pose_sigma()))
+            ]
+            if problem.climb is not None:
+                factors.append(gtsam.PriorFactorPoint3(H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4])))
+        else:
+            end = gtsam.StateData(X(k), V(k), frame.dt)
+            density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
+            factors = [
+                gtsam.WnoaMotionFactorPose3(
+                    gtsam.StateData(X(k - 1), W(k), 0.0), end, 3.0 * (density / frame.dt) ** 2
+                ),
+                *self._bias_factors(frame, before),
+            ]
+            if problem.climb is not None:
+                known = np.isfinite(frame.climb_rate)
+                spread = np.sqrt(frame.dt) * problem.climb.walk if known else frame.dt * UNKNOWN_CLIMB
+                rise = np.array([0.0, 0.0, frame.dt * frame.climb_rate if known else 0.0])
+                factors.append(
+                    gtsam.BetweenFactorPoint3(H(k - 1), H(k), rise, _sigmas([_UNUSED, _UNUSED, spread]))
+                )
+        if problem.climb is not None:
+            factors.append(gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA])))
+        return factors
+
+    def predict(self, frame: Frame, pose: Array) -> Array:
+        """Integrate the twist less its bias, and the climb rate."""
+        if frame.k == 0:
+            return pose
+        self._twist = frame.twist + self._clock / frame.dt * frame.twist_change - self._bias
+        if np.isfinite(frame.climb_rate):
+            self._height += frame.dt * frame.climb_rate
+        return pose @ se3.exp(frame.dt * self._twist)
+
+    def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
+        """Insert pose, twist, clock and height as predicted."""
+        k = frame.k
+        values.insert(X(k), gtsam.Pose3(pose))
+        if k > 0:
+            values.insert(W(k), self._twist)
+            values.insert(V(k), self._twist)
+        if k == 1 and self._estimate_clock:
+            values.insert(CLOCK, np.zeros(1))
+        if self._problem.climb is not None:
+            values.insert(H(k), np.array([0.0, 0.0, self._height]))
+
+    def keys(self, k: int) -> list[int]:
+        """Keys of a frame's own variables."""
+        return [
+            X(k),
+            *([W(k), V(k)] if k > 0 else []),
+            *([H(k)] if self._problem.climb is not None else []),
+        ]
+
+    def tied(self, k: int) -> list[int]:
+        """Keys that the factors of the next frame tie to."""
+        clock = [CLOCK] if k > 0 and self._estimate_clock else []
+        return [*(key for key in self.keys(k) if key != V(k)), *clock]
+
+    def read(self, engine: Engine, frame: Frame) -> None:
+        """Read bias and clock."""
+        if frame.k > 0:
+            if self._estimate_clock:
+                self._clock = float(engine.vector(CLOCK)[0])
+            late = self._clock / frame.dt * frame.twist_change
+            self._bias = frame.twist + late - engine.vector(W(frame.k))
+
+    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
+        """Bias at the end of the step; the clock's share in the variance of the twist is left in it."""
+        if not with_sigma:
+            return self._bias, None
+        if frame.k == 0:
+            return self._bias, np.array(self._problem.bias_sigma)
+        walk = frame.dt * self._problem.noise.bias_walk**2
+        return self._bias, np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
+
+    def _first_pose_sigma(self) -> Array:
+        sigma = np.array(self._problem.first_pose_sigma)
+        if self._problem.climb is not None:
+            sigma[:2] = np.hypot(sigma[:2], self._problem.climb.tilt_sigma)
+        return sigma
+
+    def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
+        """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
+        problem, key = self._problem, W(frame.k)
+        late = frame.twist_change / frame.dt
+        if before.k == 0:
+            mean, sigma = frame.twist - problem.bias_mean, np.asarray(problem.bias_sigma)
+            if not self._estimate_clock:
+                return [gtsam.PriorFactorVector(key, mean, _sigmas(sigma))]
+            clock = gtsam.PriorFactorVector(CLOCK, np.zeros(1), _sigmas([problem.clock_sigma]))
+            return [clock, _linear({key: np.eye(6), CLOCK: -late[:, None]}, mean, sigma)]
+        change = frame.twist - before.twist
+        sigma = np.sqrt(before.dt) * problem.noise.bias_walk
+        if not self._estimate_clock:
+            return [gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))]
+        by_clock = before.twist_change / before.dt - late
+        return [_linear({W(before.k): -np.eye(6), key: np.eye(6), CLOCK: by_clock[:, None]}, change, sigma)]
+
+
+def newest(motion: Motion, k: int) -> list[int]:
+    """Keys of a frame's own variables and of those that the factors of the next frame tie to."""
+    return list(dict.fromkeys([*motion.keys(k), *motion.tied(k)]))
+
+
+def _sigmas(sigma: Any) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(sigma, float))
+
+
+def _linear(terms: Mapping[int, Array], right: Array, sigma: Array) -> gtsam.NonlinearFactor:
+    """Linear factor of vector variables: ``sum_i A_i x_i = right`` within ``sigma (m,)``."""
+    values = gtsam.Values()
+    for key, matrix in terms.items():
+        values.insert(key, np.zeros(matrix.shape[1]))
+    blocks = [part for term in terms.items() for part in term]
+    linear: Any = gtsam.JacobianFactor
+    return gtsam.LinearContainerFactor(linear(*blocks, right, _sigmas(sigma)), values)

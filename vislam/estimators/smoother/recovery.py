@@ -1,0 +1,139 @@
+"""What is done about a step that GTSAM cannot solve: one way after the other, until one goes."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import gtsam
+
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array
+from vislam.core.sequence import Frame
+from vislam.estimators.smoother.engine import IndeterminateError
+from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.solver import Solver
+from vislam.estimators.smoother.tracks import Track
+from vislam.geometry import se3
+from vislam.models import StereoRig
+
+_MOST_SUSPECTS = 20
+"""A rescue that has set aside this many landmarks looks for no more of those that errors name."""
+
+
+@dataclass
+class _Failure:
+    """A step that could not be solved.
+
+    Attributes
+    ----------
+    error : IndeterminateError
+        The newest; each further try that fails brings another.
+    held : gtsam.NonlinearFactorGraph
+    point : gtsam.Values
+        Factors and linearisation point of the engine that failed.
+    """
+
+    error: IndeterminateError
+    held: gtsam.NonlinearFactorGraph
+    point: gtsam.Values
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A way to repeat the step: without the suspects, and from these poses, by frame."""
+
+    suspects: list[Track]
+    poses: Mapping[int, Array]
+
+
+class Recovery:
+    """Repeats steps that could not be solved, from the factors and the linearisation point that are left.
+
+    Where Cholesky has refused, first with QR; then without the landmarks that lie where they cannot or that
+    the error names, or that of the next try; then without any in view, and from the causal poses.
+
+    Attributes
+    ----------
+    rescues : int
+        Steps that needed more than QR.
+    events : list of str
+        What was done.
+    """
+
+    def __init__(self, rig: StereoRig, options: SmootherOptions, solver: Solver) -> None:
+        self._rig, self._options, self._solver = rig, options, solver
+        self.rescues = 0
+        self.events: list[str] = []
+
+    def repeat(self, frame: Frame, error: IndeterminateError) -> None:
+        """Repeat the step to a frame.
+
+        Raises
+        ------
+        DivergedError
+            If no way leads on, or it would be one rescue too many.
+        """
+        solver = self._solver
+        failure = _Failure(error, solver.engine.factors(), solver.engine.linearization_point())
+        if self._by_qr(frame, failure):
+            return
+        self.rescues += 1
+        if self.rescues > self._options.max_rescues:
+            raise DivergedError(f"{failure.error}; it would be rescue {self.rescues}")
+        gone: list[Track] = []
+        for way in self._ways(failure, gone):
+            found = ", ".join(self._describe(track, failure.point) for track in [*gone, *way.suspects][:3])
+            solver.set_aside(way.suspects)
+            gone += way.suspects
+            if self._goes(frame, failure, way.poses):
+                self.events.append(
+                    f"frame {frame.k}: {failure.error}; {len(gone)} landmarks set aside, as {found or 'none'}"
+                )
+                return
+        raise DivergedError(f"{failure.error}, also without any landmark in view")
+
+    def _by_qr(self, frame: Frame, failure: _Failure) -> bool:
+        """Go over to QR, where that has not been done and is allowed."""
+        solver = self._solver
+        if self._options.factorization != "auto" or solver.factorization != "cholesky":
+            return False
+        solver.factorization = "qr"
+        self.events.append(f"frame {frame.k}: {failure.error} to Cholesky; QR from here on")
+        return self._goes(frame, failure, {})
+
+    def _ways(self, failure: _Failure, gone: list[Track]) -> Iterator[_Way]:
+        """Ways to go on, each asked for when the one before has failed; ``gone`` is what was set aside."""
+        solver = self._solver
+        in_view = [track for track in solver.tracks.in_view.values() if failure.point.exists(track.key)]
+        suspects = solver.strange(failure.point)
+        known = {track.key for track in suspects}
+        suspects += [track for track in self._named(failure.error) if track.key not in known]
+        while suspects:
+            yield _Way(suspects, {})
+            suspects = self._named(failure.error) if len(gone) < _MOST_SUSPECTS else []
+        left = [track for track in in_view if track.id in solver.tracks.in_view]
+        yield _Way(left, dict(enumerate(solver.poses)))
+
+    def _goes(self, frame: Frame, failure: _Failure, poses: Mapping[int, Array]) -> bool:
+        """Try it; what is wrong with it is then the failure's error."""
+        try:
+            self._solver.rebuild(frame, failure.held, failure.point, poses)
+        except IndeterminateError as error:
+            failure.error = error
+            return False
+        return True
+
+    def _named(self, error: IndeterminateError) -> list[Track]:
+        """Landmark that an error names, if it does; it may be out of view by now."""
+        return [track for track in self._solver.tracks.landmarks if track.key == error.key]
+
+    def _describe(self, track: Track, point: gtsam.Values) -> str:
+        """Say of a landmark what tells why it broke a step."""
+        rig, view = self._rig, track.views[-1]
+        disparity = view.z[0] - view.z[1]
+        measured = rig.fx * rig.baseline / disparity
+        cam_T_world = rig.cam_T_imu @ se3.inverse(self._solver.poses[-1])
+        depth = se3.transform(cam_T_world, point.atPoint3(track.key)[None])[0, 2]
+        return (
+            f"track {track.id} ({len(track.views)} views, disparity {disparity:.1f} px, "
+            f"depth {depth:.1f} m for {measured:.1f} m)"
+        )

@@ -1,0 +1,264 @@
+"""The incremental solution: the tracks and poses that an engine holds, its updates, building it anew."""
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from vislam.base.types import Array, BoolArray
+from vislam.core.sequence import Frame
+from vislam.estimators.smoother import engine
+from vislam.estimators.smoother.batch import only
+from vislam.estimators.smoother.engine import IndeterminateError
+from vislam.estimators.smoother.factors import StereoFactors
+from vislam.estimators.smoother.keys import X, is_landmark
+from vislam.estimators.smoother.motion import Motion, newest
+from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.tracks import Track, Tracks
+from vislam.geometry import se3
+from vislam.models import StereoRig
+
+_NEAREST = 1.0
+"""A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
+
+
+class Solver:
+    """An engine with the tracks and poses that it holds.
+
+    Attributes
+    ----------
+    engine : Engine
+    factorization : str
+        That of the engine, qr or cholesky; the next :meth:`rebuild` makes one with it.
+    tracks : Tracks
+    poses : list of (4, 4)
+        Causal poses of all frames so far, the newest a prediction until it is solved.
+    left : list of (4, 4)
+        Of a lag, the poses as they were when they left it.
+    """
+
+    def __init__(
+        self, rig: StereoRig, options: SmootherOptions, motion: Motion, stereo: StereoFactors
+    ) -> None:
+        self._rig, self._options, self._motion, self._stereo = rig, options, motion, stereo
+        self.factorization = "qr" if options.factorization == "qr" else "cholesky"
+        self.engine = engine.make(options, factorization=self.factorization)
+        self.tracks = Tracks()
+        self.poses: list[Array] = []
+        self.left: list[Array] = []
+        self._stamps: list[float] = []
+        # Landmarks seen in each of the last frames, and slots of factors that the next update takes out.
+        self._recent: list[list[Track]] = []
+        self._remove: list[int] = []
+
+    def predict(self, frame: Frame) -> None:
+        """Append the predicted pose of a frame."""
+        self._stamps.append(frame.stamp)
+        self.poses.append(self._motion.predict(frame, self.poses[-1] if self.poses else np.eye(4)))
+
+    def start(self) -> list[Track]:
+        """Make landmarks of the waiting tracks whose depth has become clear, and return them."""
+        return self.tracks.start(
+            self._rig,
+            self.poses,
+            clear=self._options.start_clearance,
+            most=self._options.max_waiting_views,
+            oldest=self.held().start,
+        )
+
+    def held(self) -> range:
+        """Frames whose poses the solver still holds after the newest frame."""
+        lag, newest = self._options.lag_s, len(self._stamps)
+        if lag is None:
+            return range(newest)
+        return range(bisect_left(self._stamps, self._stamps[-1] - lag), newest)
+
+    def keep_leaving(self, frame: Frame) -> None:
+        """Read the poses that the update with this frame will marginalise."""
+        if self._options.lag_s is not None:
+            for k in range(len(self.left), min(self.held().start, frame.k)):
+                self.left.append(self.engine.pose(X(k)))
+
+    def update(
+        self,
+        frame: Frame,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        owners: Sequence[Track],
+        now: list[Track],
+    ) -> None:
+        """Update the engine with a frame, whose stereo factors are of ``owners``, and read its pose.
+
+        Parameters
+        ----------
+        frame : Frame
+        graph, values
+            Its factors, the stereo ones last, and first values of its variables.
+        owners : sequence of Track
+            Whose the stereo factors are, in their order.
+        now : list of Track
+            Landmarks that it sees.
+
+        Raises
+        ------
+        IndeterminateError
+            If GTSAM cannot solve it. Its factors are in the engine all the same.
+        """
+        remove, self._remove = self._remove, []
+        try:
+            slots = self.engine.update(
+                graph,
+                values,
+                stamps=self._stamps_of(frame, now),
+                newest=newest(self._motion, frame.k),
+                in_view=[track.key for track in now],
+                resting=self._resting(now),
+                remove=remove,
+            )
+        except IndeterminateError:
+            # They are in the solver all the same, behind all others.
+            _place(owners, range(self.engine.factors().size()))
+            raise
+        _place(owners, slots)
+        self._read(frame)
+
+    def set_aside(self, tracks: Sequence[Track]) -> None:
+        """Fuse these tracks no more, and take their factors out with the next update."""
+        self.tracks.put_aside(tracks)
+        for track in tracks:
+            self._remove += track.slots
+
+    def find_astray(self, seen: Sequence[Track]) -> None:
+        """Set aside landmarks that came to lie behind the camera, in it, or on their way to infinity.
+
+        A stereo factor whose point is behind the camera has no Jacobian, and the system loses rank; a
+        point gets there through infinity as easily as through the camera.
+        """
+        points = self.engine.points([track.key for track in seen])
+        for track, point in zip(seen, points, strict=True):
+            track.point = point
+        self.set_aside(
+            [
+                track
+                for track, good in zip(seen, self._plausible(points, self.poses[-1]), strict=True)
+                if not good
+            ]
+        )
+
+    def strange(self, point: gtsam.Values) -> list[Track]:
+        """Landmarks of the solver that lie where who saw them last cannot have seen them."""
+        held = [track for track in self.tracks.landmarks if point.exists(track.key)]
+        if not held:
+            return []
+        seen_from = [X(track.views[-1].k) for track in held]
+        poses = [
+            point.atPose3(key).matrix() if point.exists(key) else self.poses[track.views[-1].k]
+            for key, track in zip(seen_from, held, strict=True)
+        ]
+        where = np.array([point.atPoint3(track.key) for track in held])
+        good = self._plausible(where[:, None], np.array(poses))[:, 0]
+        return [held[index] for index in np.flatnonzero(~good)]
+
+    def rebuild(
+        self,
+        frame: Frame,
+        held: gtsam.NonlinearFactorGraph,
+        point: gtsam.Values,
+        poses: Mapping[int, Array],
+    ) -> None:
+        """Build the engine anew from factors that it held, and read the newest frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest.
+        held : gtsam.NonlinearFactorGraph
+            The factors, by slot.
+        point : gtsam.Values
+            Where they are linearised.
+        poses : mapping of int to (4, 4)
+            Poses that take the place of those of ``point``, by frame.
+
+        Raises
+        ------
+        IndeterminateError
+            If GTSAM cannot solve it; the tracks are as before.
+        """
+        gone = set(self._remove)
+        kept = [slot for slot in range(held.size()) if held.exists(slot) and slot not in gone]
+        graph = gtsam.NonlinearFactorGraph()
+        for slot in kept:
+            graph.push_back(held.at(slot))
+        values = only(point, graph)
+        for k in self.held():
+            if k in poses:
+                values.update(X(k), gtsam.Pose3(poses[k]))
+        landmarks, stamps = self.tracks.landmarks, self._all_stamps(frame)
+        oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
+        # What was set aside may be left in the factors of what has been marginalised, and only in these: they
+        # need not determine it.
+        left = [key for key in list(values.keys()) if key not in stamps]
+        for key in filter(is_landmark, left):
+            graph.add(self._stereo.vague(key, values.atPoint3(key)))
+        stamps |= dict.fromkeys(left, oldest)
+        old = frame.k - self._options.window
+        resting = [key for k in self.held() if k <= old for key in self._motion.keys(k)]
+        resting += [track.key for track in landmarks if track.views[-1].k <= old]
+        self.engine = engine.make(self._options, factorization=self.factorization)
+        slots = self.engine.update(
+            graph,
+            values,
+            # What leaves a lag with this frame leaves with the next: it cannot in the update it comes with.
+            stamps={key: max(stamp, oldest) for key, stamp in stamps.items() if values.exists(key)},
+            newest=newest(self._motion, frame.k),
+            in_view=[track.key for track in self.tracks.in_view.values() if values.exists(track.key)],
+            resting=resting,
+            remove=[],
+        )
+        self._read(frame)
+        # Not before all went well: else the next try has the factors of this one.
+        moved = dict(zip(kept, slots[: len(kept)], strict=True))
+        for track in landmarks:
+            track.slots = [moved[slot] for slot in track.slots if slot in moved]
+        self._remove = []
+
+    def _read(self, frame: Frame) -> None:
+        """Read the newest frame."""
+        pose = self.engine.pose(X(frame.k))
+        if not np.isfinite(pose).all():
+            raise IndeterminateError("the pose is not finite")
+        self.poses[-1] = pose
+        self._motion.read(self.engine, frame)
+
+    def _stamps_of(self, frame: Frame, seen: Sequence[Track]) -> dict[int, float]:
+        """Time of all variables that a frame has or sees."""
+        keys = [*self._motion.keys(frame.k), *self._motion.tied(frame.k), *(track.key for track in seen)]
+        return dict.fromkeys(keys, frame.stamp)
+
+    def _all_stamps(self, frame: Frame) -> dict[int, float]:
+        """Time of all variables of the frames and tracks that are held."""
+        stamps = {key: self._stamps[k] for k in self.held() for key in self._motion.keys(k)}
+        stamps |= {track.key: self._stamps[track.views[-1].k] for track in self.tracks.landmarks}
+        return stamps | dict.fromkeys(self._motion.tied(frame.k), frame.stamp)
+
+    def _resting(self, now: list[Track]) -> list[int]:
+        """Variables that were last seen so long ago that they are not relinearised any more."""
+        self._recent.append(now)
+        if len(self._recent) <= self._options.window:
+            return []
+        old = len(self._stamps) - 1 - self._options.window
+        last_seen = [track.key for track in self._recent.pop(0) if track.views[-1].k == old]
+        return [*self._motion.keys(old), *last_seen]
+
+    def _plausible(self, points: Array, world_T_imu: Array) -> BoolArray:
+        """Whether points ``(..., n, 3)`` are where a camera can have seen them, poses ``(..., 4, 4)``."""
+        rig = self._rig
+        depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
+        return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
+
+
+def _place(owners: Sequence[Track], slots: Sequence[int]) -> None:
+    """Note where stereo factors are: the last of the slots, in the order of their tracks."""
+    for track, slot in zip(owners, slots[len(slots) - len(owners) :], strict=True):
+        track.slots.append(slot)
