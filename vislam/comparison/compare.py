@@ -262,7 +262,11 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         )
     return Problem(
         rig=dataset.sequence.rig.copy(),
-        noise=MotionNoise(np.array(noise.twist_density), np.array(noise.bias_walk)),
+        noise=MotionNoise(
+            np.array(noise.twist_density),
+            np.array(noise.bias_walk),
+            None if noise.acceleration_density is None else np.array(noise.acceleration_density),
+        ),
         first_pose_sigma=np.array(noise.first_pose_sigma),
         bias_mean=np.array(noise.bias_mean),
         bias_sigma=np.array(noise.bias_sigma),

@@ -120,6 +120,9 @@ class NoiseConfig:
     """Prior mean of its bias [rad/s, m/s]."""
     bias_walk: Six = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4, 5e-4)
     """Random walk of its bias [rad/s/sqrt(s), m/s/sqrt(s)]."""
+    acceleration_density: Six | None = None
+    """White noise of the acceleration of the body itself [rad/s/sqrt(s), m/s/sqrt(s)]: how smoothly it moves;
+    null: nothing is supposed of it."""
     first_pose_sigma: Six = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
     """Prior standard deviation of the first pose [rad, m]; it fixes the gauge."""
     clock_sigma: NonNegative = 0.0

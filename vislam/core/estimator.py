@@ -26,6 +26,8 @@ HEIGHT_SIGMA = 0.02
 """White error of the height against the integrated climb rate [m]."""
 UNKNOWN_CLIMB = 5.0
 """Standard deviation of the climb rate where a step has none [m/s]."""
+FIRST_TWIST_S = 1000.0
+"""Of the first twist as much is known beforehand as this time after the first inertial sample [s]."""
 
 
 @dataclass(frozen=True)

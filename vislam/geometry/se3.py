@@ -83,6 +83,14 @@ def adjoint(pose: Array) -> Array:
     return out
 
 
+def small_adjoint(xi: Array) -> Array:
+    """Adjoint of the algebra ``(..., 6, 6)``: ``small_adjoint(x) @ y == [x, y]``, in the order (omega, v)."""
+    out = np.zeros((*xi.shape, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = so3.hat(xi[..., :3])
+    out[..., 3:, :3] = so3.hat(xi[..., 3:])
+    return out
+
+
 def left_jacobian(xi: Array) -> Array:
     """Left Jacobian of :func:`exp`, ``(..., 6)`` to ``(..., 6, 6)``.
 

@@ -33,10 +33,14 @@ class MotionNoise:
         White noise of the twist (omega, v) [rad/sqrt(s), m/sqrt(s)].
     bias_walk : (6,)
         Random walk of the bias [rad/s/sqrt(s), m/s/sqrt(s)].
+    acceleration : (6,) or None
+        White noise of the acceleration of the body itself, along its own axes: how smoothly it moves
+        [rad/s/sqrt(s), m/s/sqrt(s)]. None: nothing is supposed of it.
     """
 
     twist: Array
     bias_walk: Array
+    acceleration: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from scipy.stats import chi2
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
-from vislam.estimators.ekf import backward, chart
+from vislam.estimators.ekf import backward, chart, motion
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
-from vislam.estimators.ekf.motion import Block, Motion, OdometryMotion
+from vislam.estimators.ekf.motion import Block, Motion
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.state import JointState
@@ -48,7 +48,7 @@ class EkfEstimator:
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
-        self._motion: Motion = OdometryMotion(problem)
+        self._motion = motion.make(problem)
         layout, nav, sigma = _navigation(problem, self._motion)
         self._layout = layout
         self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig), layout)
@@ -113,13 +113,15 @@ class EkfEstimator:
         if not seen.all():
             state.keep(seen)
             rows = rows[seen]
-        if frame.k > 0:
+        if frame.k == 0:
+            state.nav = self._motion.first(self._layout, state.nav, frame)
+        else:
             state.predict(self._motion.propagate(self._layout, state.nav, frame))
+        self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
         if self._track_noise.drift > 0.0:
             state.wander(view.drift_cov(self._track_noise.drift))
         fused, gated, update = self._fuse(state, view, frame, rows, ~refused[rows])
-        self._measure(state, frame)
         new = ~refused
         new[rows] = False
         self._initialise(state, frame, new)

@@ -11,10 +11,10 @@ from typing import Protocol
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
 from vislam.core.sequence import Frame
 from vislam.estimators.ekf.layout import NavLayout
-from vislam.geometry import so3
+from vislam.geometry import se3, so3
 from vislam.models import odometry
 from vislam.models.odometry import POSE
 
@@ -70,6 +70,10 @@ class Motion(Protocol):
         """Blocks that it needs behind the pose, with their priors."""
         ...
 
+    def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
+        """Mean ``(d,)`` of the navigation state at the first frame, from that of the priors."""
+        ...
+
     def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
         """Step to a frame from the navigation state ``nav (d,)`` at the one before."""
         ...
@@ -85,16 +89,60 @@ class Motion(Protocol):
         ...
 
 
+class Height:
+    """The climb rate as a measurement of the height, where it is in use.
+
+    Blocks: ``tilt`` (2), the turn of the true vertical against the world's z axis about x and y [rad], and
+    ``climb`` (1), the integrated climb rate [m].
+    """
+
+    def __init__(self, climb: ClimbNoise | None) -> None:
+        self._noise = climb
+
+    def blocks(self) -> Mapping[str, Block]:
+        """Blocks in use."""
+        if self._noise is None:
+            return {}
+        return {
+            "tilt": Block(np.zeros(2), np.full(2, self._noise.tilt_sigma)),
+            "climb": Block(np.zeros(1), np.zeros(1)),
+        }
+
+    def propagate(self, layout: NavLayout, frame: Frame, change: Array, noise: Array) -> None:
+        """Integrate the climb rate into ``change`` and ``noise`` of a :class:`Propagation`."""
+        if self._noise is not None:
+            known, climb = np.isfinite(frame.climb_rate), layout["climb"]
+            change[climb] = frame.dt * frame.climb_rate if known else 0.0
+            walk = frame.dt * self._noise.walk**2
+            noise[climb, climb] = walk if known else (frame.dt * UNKNOWN_CLIMB) ** 2
+
+    def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
+        """Tell that the pose is as high above the start as the climb rate has led."""
+        if self._noise is None:
+            return []
+        up, by_tilt = up_axis(nav[layout["tilt"]])
+        position = world_T_imu[:3, 3]
+        by_nav = np.zeros((1, layout.size))
+        by_nav[0, 3:6] = up @ world_T_imu[:3, :3]
+        by_nav[0, layout["tilt"]] = position @ by_tilt
+        by_nav[0, layout["climb"]] = -1.0
+        return [Measurement(nav[layout["climb"]] - up @ position, by_nav, np.array([HEIGHT_SIGMA**2]))]
+
+    def up(self, layout: NavLayout, nav: Array) -> Array | None:
+        """Tell up by the tilt, where it is estimated."""
+        return None if self._noise is None else up_axis(nav[layout["tilt"]])[0]
+
+
 class OdometryMotion:
     """The recorded twist less its bias (:mod:`vislam.models.odometry`), its clock, and the climb rate.
 
     Blocks: ``twist_bias`` (6) [rad/s, m/s]; ``clock`` (1), how much later the inertial stamps are than taken
-    for [s], where its prior is not zero; where the climb rate is in use ``tilt`` (2), the turn of the true
-    vertical against the world's z axis about x and y [rad], and ``climb`` (1), the integrated climb rate [m].
+    for [s], where its prior is not zero; those of :class:`Height`.
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
+        self._height = Height(problem.climb)
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use."""
@@ -102,48 +150,119 @@ class OdometryMotion:
         found = {"twist_bias": Block(problem.bias_mean, np.asarray(problem.bias_sigma))}
         if problem.clock_sigma > 0.0:
             found["clock"] = Block(np.zeros(1), np.array([problem.clock_sigma]))
-        if problem.climb is not None:
-            found["tilt"] = Block(np.zeros(2), np.full(2, problem.climb.tilt_sigma))
-            found["climb"] = Block(np.zeros(1), np.zeros(1))
-        return found
+        return {**found, **self._height.blocks()}
+
+    def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
+        """Return the priors' mean: nothing more is known."""
+        del layout, frame
+        return nav
 
     def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
         """Integrate the twist less its bias, and the climb rate."""
-        problem, dt, bias = self._problem, frame.dt, layout["twist_bias"]
-        change = np.zeros(layout.size)
+        dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
         late = float(nav[layout["clock"]][0]) / dt if "clock" in layout else 0.0
-        step = odometry.integrate(
-            frame.twist + late * frame.twist_change, bias=nav[bias], dt=dt, noise=problem.noise
-        )
+        twist = frame.twist + late * frame.twist_change
+        bias = nav[layout["twist_bias"]]
+        step = odometry.integrate(twist, bias=bias, dt=dt, noise=self._problem.noise)
         own = slice(0, odometry.NAV)
         transition[own, own], noise[own, own] = odometry.transition(step)
         if "clock" in layout:
             transition[POSE, layout["clock"]] = -(step.by_bias @ frame.twist_change / dt)[:, None]
-        if problem.climb is not None:
-            known, climb = np.isfinite(frame.climb_rate), layout["climb"]
-            change[climb] = dt * frame.climb_rate if known else 0.0
-            noise[climb, climb] = dt * problem.climb.walk**2 if known else (dt * UNKNOWN_CLIMB) ** 2
+        self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
     ) -> Sequence[Measurement]:
-        """Tell that the pose is as high above the start as the climb rate has led."""
+        """Measure the height."""
         del frame
-        if self._problem.climb is None:
-            return ()
-        up, by_tilt = up_axis(nav[layout["tilt"]])
-        position = world_T_imu[:3, 3]
-        by_nav = np.zeros((1, layout.size))
-        by_nav[0, 3:6] = up @ world_T_imu[:3, :3]
-        by_nav[0, layout["tilt"]] = position @ by_tilt
-        by_nav[0, layout["climb"]] = -1.0
-        return (Measurement(nav[layout["climb"]] - up @ position, by_nav, np.array([HEIGHT_SIGMA**2])),)
+        return self._height.measurements(layout, world_T_imu, nav)
 
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
         """Tell up by the tilt, where it is estimated."""
-        return None if self._problem.climb is None else up_axis(nav[layout["tilt"]])[0]
+        return self._height.up(layout, nav)
+
+
+class SmoothMotion(OdometryMotion):
+    """The same, of a body that moves smoothly: white noise on its acceleration is all that changes its twist.
+
+    The body's own twist is part of the state, and so is the motion ``xi = log(T_{k-1}^-1 T_k)`` over the
+    last step, of which the recorded twist is a measurement: ``u = xi / dt + bias + noise``. So a step without
+    tracks is bridged by the inertial sample and by how the body moved before, each by its share. The prior is
+    that of Barfoot, Tong and Sarkka, *Batch continuous-time trajectory estimation as exactly sparse Gaussian
+    process regression* (RSS 2014), on SE(3) as in Anderson and Barfoot, *Full STEAM ahead* (IROS 2015): over
+    a step, in its local coordinates,
+
+        xi = dt twist + w_1,    J_r(xi)^-1 twist' = twist + w_2,
+
+    with w of covariance ``[[dt^3/3, dt^2/2], [dt^2/2, dt]] (x) diag(acceleration^2)``.
+
+    Further blocks: ``twist`` (6) [rad/s, m/s], ``step`` (6), the motion over the last step [rad, m].
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        assert problem.noise.acceleration is not None
+        self._acceleration = problem.noise.acceleration
+
+    def blocks(self) -> Mapping[str, Block]:
+        """Blocks in use; of the first twist next to nothing is known but the first inertial sample."""
+        twist = Block(np.zeros(6), np.sqrt(FIRST_TWIST_S) * self._acceleration)
+        return {**super().blocks(), "twist": twist, "step": Block(np.zeros(6), np.zeros(6))}
+
+    def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
+        """Take the body's twist from the first inertial sample, less its bias."""
+        nav = nav.copy()
+        nav[layout["twist"]] = frame.twist - nav[layout["twist_bias"]]
+        return nav
+
+    def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
+        """Go on with the body's own twist; the bias walks, the climb rate is integrated."""
+        dt, change = frame.dt, np.zeros(layout.size)
+        twist, step, bias = layout["twist"], layout["step"], layout["twist_bias"]
+        xi = dt * nav[twist]
+        prev_T_next, right = se3.exp(xi), se3.right_jacobian(xi)
+        change[step] = xi - nav[step]
+        transition = np.eye(layout.size)
+        transition[POSE, POSE] = se3.adjoint(se3.inverse(prev_T_next))
+        transition[POSE, twist] = dt * right
+        transition[step, step] = 0.0
+        transition[step, twist] = dt * np.eye(6)
+        # What w_1 and w_2 do to the pose, the step and the twist after it.
+        half = 0.5 * se3.small_adjoint(nav[twist])
+        by_noise = np.zeros((layout.size, 12))
+        by_noise[POSE, :6], by_noise[step, :6] = right, np.eye(6)
+        by_noise[twist, :6], by_noise[twist, 6:] = half, np.eye(6) - dt * half
+        density = np.diag(self._acceleration**2)
+        white = np.kron([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]], density)
+        noise = by_noise @ white @ by_noise.T
+        noise[bias, bias] += dt * np.diag(self._problem.noise.bias_walk**2)
+        self._height.propagate(layout, frame, change, noise)
+        return Propagation(prev_T_next, change, transition, noise)
+
+    def measurements(
+        self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
+    ) -> Sequence[Measurement]:
+        """Measure the step by the inertial sample, and the height."""
+        found = self._height.measurements(layout, world_T_imu, nav)
+        if frame.k == 0:
+            return found
+        by_nav = np.zeros((6, layout.size))
+        by_nav[:, layout["step"]] = np.eye(6) / frame.dt
+        by_nav[:, layout["twist_bias"]] = np.eye(6)
+        predicted = nav[layout["step"]] / frame.dt + nav[layout["twist_bias"]]
+        if "clock" in layout:
+            late = frame.twist_change / frame.dt
+            by_nav[:, layout["clock"]] = -late[:, None]
+            predicted = predicted - late * nav[layout["clock"]]
+        variance = self._problem.noise.twist**2 / frame.dt
+        return [Measurement(frame.twist - predicted, by_nav, variance), *found]
+
+
+def make(problem: Problem) -> Motion:
+    """Model of motion that a problem asks for."""
+    return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
 
 
 def up_axis(tilt: Array) -> tuple[Array, Array]:

@@ -8,12 +8,12 @@ import numpy as np
 from vislam.base.types import BoolArray
 from vislam.core.estimator import Estimate, Problem, StepRecord
 from vislam.core.sequence import Frame
+from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.descent import Budget, Tell
 from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
-from vislam.estimators.smoother.motion import Motion, OdometryMotion
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.solver import Solver
@@ -40,7 +40,7 @@ class SmootherEstimator:
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self.tell: Tell = _log.info
         self._problem, self._options = problem, options
-        self._motion: Motion = OdometryMotion(problem)
+        self._motion = motion.make(problem)
         self._stereo = StereoFactors(problem.rig, robust=options.robust, threshold=options.robust_threshold)
         self._solver = Solver(problem.rig, options, self._motion, self._stereo)
         self._recovery = Recovery(problem.rig, options, self._solver)

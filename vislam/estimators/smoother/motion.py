@@ -12,10 +12,10 @@ import gtsam_unstable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
 from vislam.core.sequence import Frame
 from vislam.estimators.smoother.engine import Engine
-from vislam.estimators.smoother.keys import CLOCK, H, V, W, X
+from vislam.estimators.smoother.keys import CLOCK, B, H, V, W, X
 from vislam.geometry import se3
 
 _UNUSED = 1.0
@@ -181,6 +181,44 @@ class OdometryMotion:
             return [gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))]
         by_clock = before.twist_change / before.dt - late
         return [_linear({W(before.k): -np.eye(6), key: np.eye(6), CLOCK: by_clock[:, None]}, change, sigma)]
+
+
+class SmoothMotion(OdometryMotion):
+    """The same, of a body that moves smoothly: white noise on its acceleration is all that changes its twist.
+
+    To the factors of the recorded twist comes GTSAM's white-noise-on-acceleration prior (Anderson and
+    Barfoot, IROS 2015) between poses and the body's own twists ``B(k)`` at the frames, of the first of which
+    next to nothing is known but the first inertial sample.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        assert problem.noise.acceleration is not None
+        self._acceleration = problem.noise.acceleration
+
+    def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
+        """Those of the recorded twist, and the prior of smooth motion."""
+        k, found = frame.k, super().factors(frame, before)
+        if before is None:
+            mean = frame.twist - self._problem.bias_mean
+            sigma = np.sqrt(FIRST_TWIST_S) * self._acceleration
+            return [*found, gtsam.PriorFactorVector(B(0), mean, _sigmas(sigma))]
+        ends = gtsam.StateData(X(k - 1), B(k - 1), 0.0), gtsam.StateData(X(k), B(k), frame.dt)
+        return [*found, gtsam.WnoaMotionFactorPose3(*ends, self._acceleration**2)]
+
+    def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
+        """Insert the body's twist as well: the recorded one less its bias."""
+        super().insert(values, frame, pose)
+        values.insert(B(frame.k), self._twist if frame.k else frame.twist - self._bias)
+
+    def keys(self, k: int) -> list[int]:
+        """Keys of a frame's own variables."""
+        return [*super().keys(k), B(k)]
+
+
+def make(problem: Problem) -> Motion:
+    """Model of motion that a problem asks for."""
+    return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
 
 
 def newest(motion: Motion, k: int) -> list[int]:
