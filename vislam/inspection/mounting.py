@@ -274,7 +274,7 @@ class _Sample:
         self._flow = np.linalg.norm(z[after] - z[before], axis=1)
         self._z = z[after]
         # Nearer, the disparity would be wider than the image.
-        self._nearest = sequence.rig.fx * sequence.rig.baseline / (2.0 * sequence.rig.cx)
+        self._nearest = sequence.rig.nearest
         # Pairs come frame after frame, so the medians of frames are those of slices.
         self._frame = sequence.frame_of[after]
         self._edges = np.searchsorted(self._frame, np.arange(len(sequence) + 1))

@@ -16,7 +16,6 @@ _FEW, _MANY = 0.02, 0.15
 _FEWEST = 100
 _BLOCKS = 12
 _GATE, _GATINGS = 4.0, 20
-_NEAREST = 0.3
 _SMALLEST_PX = 0.02
 """No tracker is better; a noise of zero would be believed without end."""
 
@@ -106,7 +105,7 @@ def _steps_of_tracks(sequence: Sequence, fits: dict[int, RigidFit]) -> _Steps:
     for k, fit in fits.items():
         rows = slice(pairs.start[k], pairs.start[k + 1])
         moved = se3.transform(fit.next_T_prev, points[pairs.before[rows]])
-        moved[:, 2] = np.maximum(moved[:, 2], _NEAREST)
+        moved[:, 2] = np.maximum(moved[:, 2], sequence.rig.nearest)
         residual = (z[pairs.after[rows]] - sequence.rig.project(moved))[:, 2]
         frames.append(np.full(len(residual), k))
         tracks.append(sequence.track[pairs.after[rows]])

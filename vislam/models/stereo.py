@@ -43,6 +43,11 @@ class StereoRig:
         """Pose of the body in the left camera, ``(4, 4)``."""
         return se3.inverse(self.imu_T_cam)
 
+    @property
+    def nearest(self) -> float:
+        """Depth at which a disparity is as large as the image is wide [m]: nothing nearer is in both images."""
+        return self.fx * self.baseline / (2.0 * self.cx) if self.cx > 0.0 else self.baseline
+
     def copy(self) -> "StereoRig":
         """The same rig with arrays of its own."""
         return replace(self, imu_T_cam=self.imu_T_cam.copy())

@@ -13,8 +13,6 @@ from vislam.base.types import Array, BoolArray
 from vislam.geometry import se3
 from vislam.models import StereoRig
 
-_NEAREST = 1.0
-"""A point nearer to a camera than this cannot have been seen by it [m]."""
 _ITERATIONS = 6
 _SMALLEST_DISPARITY = 0.5
 _SINGULAR = 1e-12
@@ -31,7 +29,7 @@ class Triangulated:
         The point as (uL, uR, v) in the first view, and its covariance [px, px^2].
     residual : (n, V, 3)
         Measured less predicted (uL, uR, v) [px], of all views, those not fitted included. A point behind a
-        camera is taken to be a metre in front of it, where its disparity is large.
+        camera is taken to be as near to it as can be seen, where its disparity is large.
     solved : (n,)
         Whether there is such a point, in front of all views that were fitted. What the other arrays hold
         where there is none has no meaning.
@@ -76,7 +74,7 @@ def triangulate(rig: StereoRig, world_T_cam: Array, z: Array, sigma: Array) -> T
         solved &= mean[:, 0] - mean[:, 1] > _SMALLEST_DISPARITY
         mean[~solved] = z[~solved, 0]
         residual, jacobian, depth = _linearise(rig, view_T_first, z, mean)
-        solved &= np.all((depth > _NEAREST) | ~fitted, axis=1)
+        solved &= np.all((depth > rig.nearest) | ~fitted, axis=1)
         information = np.einsum("nvia,nvi,nvib->nab", jacobian, weight, jacobian)
         diagonal = np.einsum("naa->na", information)
         solved &= np.linalg.det(information) > _SINGULAR * np.prod(diagonal, axis=1)
@@ -87,7 +85,7 @@ def triangulate(rig: StereoRig, world_T_cam: Array, z: Array, sigma: Array) -> T
     solved &= mean[:, 0] - mean[:, 1] > _SMALLEST_DISPARITY
     mean[~solved] = z[~solved, 0]
     residual, _, depth = _linearise(rig, view_T_first, z, mean)
-    solved &= np.all((depth > _NEAREST) | ~fitted, axis=1)
+    solved &= np.all((depth > rig.nearest) | ~fitted, axis=1)
     return Triangulated(mean, np.linalg.inv(information), residual, solved)
 
 
@@ -95,7 +93,7 @@ def _linearise(rig: StereoRig, view_T_first: Array, z: Array, mean: Array) -> tu
     """Residuals, Jacobians by the disparity-space point, and depths, for every view."""
     moved = se3.transform(view_T_first, rig.back_project(mean)[:, None, None])[:, :, 0]
     depth = moved[..., 2]
-    held = np.concatenate([moved[..., :2], np.maximum(depth, _NEAREST)[..., None]], axis=-1)
+    held = np.concatenate([moved[..., :2], np.maximum(depth, rig.nearest)[..., None]], axis=-1)
     by_point = rig.projection_jacobian(held) @ view_T_first[..., :3, :3]
     jacobian = by_point @ rig.back_projection_jacobian(mean)[:, None]
     return z - rig.project(held), jacobian, depth

@@ -21,8 +21,6 @@ from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.odometry import POSE
 
-_NEAREST = 0.5
-"""A landmark predicted nearer than this, or behind the camera, is not fused [m]."""
 _AT_REST = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
 _HUBER_DISTANCE = float(chi2.ppf(0.95, 3))
@@ -49,6 +47,7 @@ class EkfEstimator:
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
         self._motion = motion.make(problem)
+        self._nearest = problem.rig.nearest
         layout, nav, sigma = _navigation(problem, self._motion)
         self._layout = layout
         self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig), layout)
@@ -157,7 +156,7 @@ class EkfEstimator:
         z, variance = frame.z[rows], self._variance(frame, rows)
         innovation = self._linearise(state, view, z)
         distance = innovation.distances(variance)
-        passes = (distance <= self._threshold) & (view.depth > _NEAREST)
+        passes = (distance <= self._threshold) & (view.depth > self._nearest)
         good, gated = allowed & passes, allowed & ~passes
         if not good.any():
             return nothing, gated, None
@@ -169,7 +168,7 @@ class EkfEstimator:
             there = se3.retract(state.world_T_imu, correction[POSE])
             landmarks = state.landmarks + correction[self._layout.size :].reshape(-1, LANDMARK)
             view = self._camera.view(there, state.anchors, landmarks)
-            if not (view.depth[good] > _NEAREST).all():
+            if not (view.depth[good] > self._nearest).all():
                 break
             innovation = self._linearise(state, view, z, correction)
             update = innovation.update(variance, good)

@@ -19,8 +19,6 @@ from vislam.estimators.smoother.tracks import Track, Tracks
 from vislam.geometry import se3
 from vislam.models import StereoRig
 
-_NEAREST = 1.0
-"""A landmark nearer than this to the camera that sees it, or behind it, has gone astray [m]."""
 
 
 class Solver:
@@ -255,7 +253,7 @@ class Solver:
         """Whether points ``(..., n, 3)`` are where a camera can have seen them, poses ``(..., 4, 4)``."""
         rig = self._rig
         depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
-        return (depth > _NEAREST) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
+        return (depth > rig.nearest) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
 
 
 def _place(owners: Sequence[Track], slots: Sequence[int]) -> None:
