@@ -144,3 +144,11 @@ def test_a_record_survives_its_file(folder, tmp_path):
     assert np.array_equal(again.rig.imu_T_cam, record.rig.imu_T_cam)
     assert np.array_equal(again.reference.bias, record.reference.bias)
     assert np.array_equal(again.given.z, record.given.z)
+
+
+def test_runs_from_which_no_track_was_held_out_are_scored_again(tmp_path):
+    arguments = ["--config", str(ROOT / "configs" / "tiny.yaml"), "--set", "held_out.share=0"]
+    arguments += ["--estimators", "dead_reckoning", "--out", str(tmp_path), "--no-report"]
+    assert compare.main(arguments) == 0
+    (folder,) = tmp_path.iterdir()
+    assert evaluate.main([str(folder), "--no-report"]) == 0

@@ -107,7 +107,7 @@ def mask(shape: str) -> Numbers:
 
 
 def _any_of_row(wrong: BoolArray) -> BoolArray:
-    return np.asarray(wrong.reshape(len(wrong), -1).any(axis=1))
+    return np.asarray(wrong.any(axis=tuple(range(1, wrong.ndim))))
 
 
 def _repeated(values: Array) -> BoolArray:
