@@ -8,6 +8,8 @@ from tests.report.test_page import EVIL, Elements
 from tests.study.synthetic import lost, record, study
 from vislam.study.page.figures import all_figures
 from vislam.study.page.page import write_study_page
+from vislam.study.page.tables import consistency_table, ranking_table
+from vislam.study.settings import Ranking
 from vislam.study.trials import Trials
 
 PIXELS = {"noise.pixel_sigma_px": [0.25, 0.5, 1.0]}
@@ -68,3 +70,33 @@ def test_names_reasons_and_notes_are_text(tmp_path):
     text = page(tmp_path, records, title=EVIL, notes=(EVIL,), config=EVIL, provenance=EVIL)
     assert "<script>alert" not in text
     assert not Elements(text).open
+
+
+def test_what_else_speaks_for_consistency_is_a_column_where_there_is_any():
+    plain = consistency_table(Trials.of_records(study({})))
+    assert plain.header[-1] == "errors within 3 sigma"
+    records = study({})
+    for item in records:
+        for key, value in (("nis_per_dof", 1.25), ("yaw_information_gained", 1e-9 * 10.0 ** item["seed"])):
+            item["metrics"].append({"estimator": "ekf", "key": key, "value": value})
+    table = consistency_table(Trials.of_records(records))
+    assert table.header[-2:] == ["NIS per degree of freedom", "yaw information gained [1/rad²]"]
+    ekf, isam2 = table.rows
+    assert ekf[-2].startswith("1.25 ")
+    # The median of 1e-9 to 1e2, not the mean that the last one rules.
+    assert float(ekf[-1].split()[0]) < 0.001
+    assert isam2[-2:] == ["-", "-"]
+
+
+def test_ranks_have_a_section_of_their_own(tmp_path):
+    ranking = Ranking(by="nees_pose", errors=("ate_rmse", "rpe_10m_rmse"))
+    records = study({}, seeds=3)
+    for item in records:
+        item["seed"] = 0
+    text = page(tmp_path, records, ranking=ranking)
+    assert not Elements(text).open
+    assert 'id="ranking"' in text
+    assert "rank correlation with NEES of the pose per degree of freedom" in text
+    first, second = ranking_table(Trials.of_records(records), ranking).rows
+    assert first[:2] == ["ATE [m]", "1"]
+    assert second == ["rpe_10m_rmse", "0", "-"]

@@ -132,3 +132,44 @@ def test_means_and_medians_are_of_the_rows_that_are_asked_for():
     some = np.arange(3)
     assert answers.mean(trials, "a", "ate_rmse", rows=some).value == pytest.approx(3.0)
     assert answers.median(trials, "a", "ate_rmse", rows=some).value == 2.0
+
+
+def ranked(*runs):
+    """Trials of one estimator, one a run: seed, held-out error and ATE."""
+    keys = ("held_out_median", "ate_rmse")
+    return Trials.of_records(
+        [
+            record(seed, {"x": place}, {"ekf": dict(zip(keys, values, strict=True))})
+            for place, (seed, *values) in enumerate(runs)
+        ]
+    )
+
+
+def test_ranks_are_compared_among_the_runs_of_a_seed_alone():
+    # The drive of the second seed is harder by far, and its runs stand in the other order.
+    same = [(0, 1.0, 10.0), (0, 2.0, 11.0), (0, 4.0, 30.0)]
+    turned = [(1, 100.0, 3.0), (1, 200.0, 2.0), (1, 300.0, 1.0)]
+    found = answers.rank_correlation(ranked(*same), "held_out_median", "ate_rmse")
+    assert (found.value, found.count) == (1.0, 1)
+    both = answers.rank_correlation(ranked(*same, *turned), "held_out_median", "ate_rmse")
+    assert (both.value, both.count) == (0.0, 2)
+    half = answers.rank_correlation(
+        ranked(*[(0, value, rank) for value, rank in zip((1, 2, 3, 4), (1, 2, 4, 3), strict=True)]),
+        "held_out_median",
+        "ate_rmse",
+    )
+    # 1 - 6 sum d^2 / (n (n^2 - 1)).
+    assert half.value == pytest.approx(1.0 - 6.0 * 2.0 / 60.0)
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [
+        [(0, 1.0, 1.0), (0, 2.0, 2.0)],
+        [(0, 1.0, 1.0), (0, 1.0, 2.0), (0, 1.0, 3.0)],
+        [(0, 1.0, 1.0), (0, 2.0, 2.0), (0, 3.0, None)],
+    ],
+    ids=["two runs", "one score", "a gap"],
+)
+def test_an_order_that_says_nothing_is_none(runs):
+    assert answers.rank_correlation(ranked(*runs), "held_out_median", "ate_rmse") is None

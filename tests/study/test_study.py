@@ -448,7 +448,10 @@ def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_star
     assert only("*/study.html").stat().st_size > 80_000
 
 
-@pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), CONFIGS / "monte_carlo.yaml"])
+SIMULATED = [CONFIGS / f"{name}.yaml" for name in ("monte_carlo", "consistency", "held_out")]
+
+
+@pytest.mark.parametrize("path", [*sorted(CONFIGS.glob("sweep_*.yaml")), *SIMULATED])
 def test_the_studies_that_come_along_can_be_planned(path):
     from vislam.comparison import config as configuration
 

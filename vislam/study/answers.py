@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, wilcoxon
+from scipy.stats import chi2, spearmanr, wilcoxon
 
 from vislam.base.types import IntArray
 from vislam.study.intervals import Estimate, bootstrap, share, student_mean
@@ -18,6 +18,8 @@ NEES = "nees_pose"
 """Statistic that speaks for consistency; it needs a truth, which simulated trials have."""
 _FREEDOM = 6
 COVERAGE = "coverage_pose_3sigma"
+_FEWEST_RANKED = 2
+"""Runs of which an order says nothing yet."""
 CLAIMED = 0.9973
 """Share of the errors that three standard deviations of a normal distribution hold."""
 
@@ -110,6 +112,22 @@ def paired(trials: Trials, one: str, other: str, key: str, *, rows: IntArray) ->
     # Differences of 0 tell nothing, and with nothing else the test has nothing to rank.
     p_value = float(wilcoxon(known).pvalue) if known.any() else 1.0
     return Paired(found, share(float(hits), len(known)), p_value)
+
+
+def rank_correlation(trials: Trials, one: str, other: str) -> Estimate | None:
+    """Spearman's rank correlation of two metrics over the runs of a seed, mean over the seeds.
+
+    The runs of a seed, those of all points and estimators, are of one drive, so that only their quality
+    differs; None if no seed has three runs with both metrics that are not all the same.
+    """
+    found = []
+    for seed in np.unique(trials.seed):
+        rows = trials.seed == seed
+        pair = np.array([[trials.value(name, key)[rows] for name in trials.complete] for key in (one, other)])
+        first, second = pair.reshape(2, -1)[:, np.isfinite(pair).all(axis=0).reshape(-1)]
+        if len(first) > _FEWEST_RANKED and np.ptp(first) > 0.0 and np.ptp(second) > 0.0:
+            found.append(float(spearmanr(first, second).statistic))
+    return bootstrap(np.array(found), np.mean)
 
 
 def onset(found: Sequence[PooledNees | None]) -> int | None:

@@ -23,6 +23,7 @@ from vislam.study.folder import StudyFolder, told
 from vislam.study.page.ablation import DETAILS, short_table
 from vislam.study.page.labels import ERRORS, TIME, errors
 from vislam.study.page.page import write_study_page
+from vislam.study.page.tables import CLAIMS, ranking_table
 from vislam.study.plan import Plan
 from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
@@ -31,7 +32,7 @@ from vislam.study.trials import Trials
 SCHEMA_VERSION = 1
 _STARTS = 4
 """How often workers of this machine are started, the first time included."""
-_SHOWN = frozenset((*ERRORS, *DETAILS, TIME, NEES, COVERAGE))
+_SHOWN = frozenset((*ERRORS, *DETAILS, *CLAIMS, TIME, NEES, COVERAGE))
 """Metrics that the table and the page look at: a trial has hundreds, and each costs memory."""
 
 
@@ -105,7 +106,9 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
     swept = tuple(plan.points[0].values)
     folder.write_table(plan.trials, swept=swept, metrics=plan.study.metrics)
     counts: Counter[str] = Counter()
-    trials = Trials.of_records(_records(plan, folder, counts), keys=_SHOWN)
+    ranking = plan.study.ranking
+    ranked = () if ranking is None else (ranking.by, *ranking.errors)
+    trials = Trials.of_records(_records(plan, folder, counts), keys=_SHOWN.union(ranked))
     lost = len(plan.points) * plan.study.seeds - len(trials)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -132,6 +135,7 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
             config=configuration.dump(plan.config),
             provenance="\n".join(f"{key}: {value}" for key, value in document["provenance"].items()),
             ablation=plan.ablation,
+            ranking=ranking,
         )
     if lost:
         progress.note(
@@ -159,6 +163,9 @@ def _show(plan: Plan, trials: Trials, progress: Progress, *, title: str) -> None
         progress.rows(table.header, table.rows, title=title)
     else:
         progress.rows(HEADER, rows_of(trials), title=title)
+    if plan.study.ranking is not None:
+        table = ranking_table(trials, plan.study.ranking)
+        progress.rows(table.header, table.rows, title="ranks of the runs of a seed")
 
 
 def _records(plan: Plan, folder: StudyFolder, counts: Counter[str]) -> Iterator[dict[str, Any]]:

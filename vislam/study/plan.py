@@ -75,8 +75,12 @@ class Plan:
 
     @property
     def id(self) -> str:
-        """Hash of config, code and all files; with more seeds a study goes on, so they do not count."""
-        lasting = replace(self.config, seed=0, study=asdict(replace(self.study, seeds=1, metrics=())))
+        """Hash of config, code and all files.
+
+        With more seeds a study goes on, and so it does with other things shown: they do not count.
+        """
+        study = replace(self.study, seeds=1, metrics=(), ranking=None)
+        lasting = replace(self.config, seed=0, study=asdict(study))
         inputs = sorted({point.inputs for point in self.points})
         digest = combine(json.dumps(asdict(lasting)), code_digest(), self.data, *inputs)
         return f"{folder_name(self.config.name)}-{digest}"

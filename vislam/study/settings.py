@@ -33,6 +33,16 @@ class LatinHypercube:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Ranking:
+    """Whether a metric ranks runs as errors do, by keys of ``metrics.json``."""
+
+    by: str
+    """The metric that ranks them."""
+    errors: Annotated[tuple[str, ...], Field(min_length=1)]
+    """What its order is held against."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class StudyConfig:
     """A comparison repeated: every seed at every point."""
 
@@ -48,6 +58,9 @@ class StudyConfig:
     config itself has none of them. They are mended in this order, and each is there and is mended alone."""
     metrics: tuple[str, ...] = ()
     """Metrics that ``trials.csv`` shows; empty: all. The files of the trials have them all."""
+    ranking: Ranking | None = None
+    """A metric whose order of the runs of a seed, those of all points and estimators, is held against their
+    order by errors; null: none is."""
 
     def __post_init__(self) -> None:
         """Refuse two sets of points."""

@@ -84,6 +84,10 @@ class Trials:
         found = self.values.get((name, key), np.full(len(self), np.nan))
         return np.where(self.complete[name], found, np.nan)
 
+    def has(self, key: str) -> bool:
+        """Whether some estimator has a metric in some trial."""
+        return any(np.isfinite(self.value(name, key)).any() for name in self.complete)
+
     def levels(self, path: str) -> list[Any]:
         """Values of a swept parameter, numbers in ascending order, others as they came."""
         found = list(dict.fromkeys(self.point[path]))

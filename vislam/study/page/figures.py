@@ -30,7 +30,7 @@ def all_figures(trials: Trials) -> dict[str, Drawing]:
 def response(trials: Trials) -> Figure | None:
     """Headline error and NEES over each swept parameter, with the intervals of the estimators as bands."""
     paths = [path for path in trials.point if len(trials.levels(path)) > 1]
-    keys = [*errors(trials)[:1], *([NEES] if _any(trials, NEES) else [])]
+    keys = [*errors(trials)[:1], *([NEES] if trials.has(NEES) else [])]
     if not paths or not keys:
         return None
     figure = Figure(figsize=(7.2, 0.6 + 2.9 * len(keys) * len(paths)), layout="constrained")
@@ -68,7 +68,7 @@ def _centre(trials: Trials, name: str, key: str, rows: IntArray) -> Estimate | N
 
 def nees(trials: Trials) -> Figure | None:
     """NEES of each trial, and its mean with the interval, by estimator."""
-    if not _any(trials, NEES):
+    if not trials.has(NEES):
         return None
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -139,10 +139,6 @@ def front(points: Sequence[tuple[float, float]]) -> Array:
     ordered = np.array(sorted(points))
     before = np.minimum.accumulate(np.concatenate([[np.inf], ordered[:-1, 1]]))
     return np.asarray(ordered[ordered[:, 1] < before])
-
-
-def _any(trials: Trials, key: str) -> bool:
-    return any(np.isfinite(trials.value(name, key)).any() for name in trials.complete)
 
 
 def _places(axes: Axes, levels: Sequence[object]) -> Array:

@@ -27,14 +27,12 @@ _UNITS = ("px", "m", "s", "ms", "deg", "hz")
 
 def errors(trials: Trials) -> list[str]:
     """Metrics of ``ERRORS`` that some estimator has in some trial."""
-    return [
-        key for key in ERRORS if any(np.isfinite(trials.value(name, key)).any() for name in trials.complete)
-    ]
+    return [key for key in ERRORS if trials.has(key)]
 
 
 def metric_label(key: str) -> str:
-    """Name of a metric of ``ERRORS`` with its unit."""
-    return ERRORS[key].short_label
+    """Name of a metric with its unit; its key, if it has no name of its own."""
+    return METRICS[key].short_label if key in METRICS else key
 
 
 def parameter_label(path: str) -> str:

@@ -24,8 +24,10 @@ from vislam.study.page.tables import (
     failed_table,
     failures_table,
     pairs_table,
+    ranking_table,
 )
 from vislam.study.page.verdict import verdict
+from vislam.study.settings import Ranking
 from vislam.study.trials import Trials
 
 _UNDRAWABLE = (ArithmeticError, ValueError)
@@ -41,6 +43,7 @@ def write_study_page(
     config: str,
     provenance: str,
     ablation: Ablation | None = None,
+    ranking: Ranking | None = None,
 ) -> None:
     """Write the page, whole or not at all; it needs no other file and no network.
 
@@ -55,6 +58,8 @@ def write_study_page(
         Effective configuration of the study, and what it was run with.
     ablation : Ablation, optional
         Whose cases the points are.
+    ranking : Ranking, optional
+        Which metric is held against errors.
     """
     told, tables, draw_all = verdict(trials), [], partial(all_figures, trials)
     if ablation is not None and errors(trials):
@@ -73,6 +78,7 @@ def write_study_page(
         ablation=tables,
         errors=errors_table(trials),
         consistency=consistency_table(trials),
+        ranking=Table([], []) if ranking is None else ranking_table(trials, ranking),
         pairs=pairs_table(trials) if ablation is None else Table([], []),
         failures=failures_table(trials),
         failed=failed_table(trials),

@@ -7,7 +7,15 @@ import numpy as np
 
 from vislam.base.types import IntArray
 from vislam.report.table import Table
-from vislam.study.answers import failure_rate, mean, median, paired, pooled_coverage, pooled_nees
+from vislam.study.answers import (
+    failure_rate,
+    mean,
+    median,
+    paired,
+    pooled_coverage,
+    pooled_nees,
+    rank_correlation,
+)
 from vislam.study.page.labels import (
     ERRORS,
     TIME,
@@ -18,7 +26,11 @@ from vislam.study.page.labels import (
     plain,
     with_interval,
 )
+from vislam.study.settings import Ranking
 from vislam.study.trials import Trials
+
+CLAIMS = {"nis_per_dof": mean, "yaw_information_gained": median}
+"""What else speaks for consistency, and what is shown of it over trials: a gain may span decades."""
 
 
 def failures_table(trials: Trials) -> Table:
@@ -48,15 +60,19 @@ def errors_table(trials: Trials) -> Table:
 
 
 def consistency_table(trials: Trials) -> Table:
-    """NEES and coverage over trials, where some trial has them."""
+    """NEES and coverage over trials, where some trial has them, and what else speaks for consistency."""
+    keys = [key for key in CLAIMS if trials.has(key)]
     rows = []
     for cells, name, at in _rows(trials):
         nees, coverage = pooled_nees(trials, name, rows=at), pooled_coverage(trials, name, rows=at)
         if nees is not None:
             told = [str(nees.mean.count), str(nees.mean.missing), with_interval(nees.mean)]
-            rows.append([name, *cells, *told, percent(nees.beyond), percent(coverage)])
+            told += [percent(nees.beyond), percent(coverage)]
+            others = [with_interval(CLAIMS[key](trials, name, key, rows=at)) for key in keys]
+            rows.append([name, *cells, *told, *others])
     header = ["trials", "missing", "NEES per degree of freedom", "trials beyond the bound"]
-    return Table([*_header(trials), *header, "errors within 3 sigma"], rows)
+    header += ["errors within 3 sigma", *map(metric_label, keys)]
+    return Table([*_header(trials), *header], rows)
 
 
 def pairs_table(trials: Trials) -> Table:
@@ -75,6 +91,15 @@ def pairs_table(trials: Trials) -> Table:
     unit = ERRORS[keys[0]].unit if keys else ""
     header = ["trials of both", "missing", f"mean difference [{unit}]", "first is better", "p"]
     return Table(["estimators", *map(parameter_label, trials.point), *header], rows)
+
+
+def ranking_table(trials: Trials, ranking: Ranking) -> Table:
+    """How far each error ranks the runs of a seed as a metric does."""
+    rows = []
+    for key in ranking.errors:
+        found = rank_correlation(trials, ranking.by, key)
+        rows.append([metric_label(key), str(found.count if found else 0), with_interval(found)])
+    return Table(["error", "seeds", f"rank correlation with {metric_label(ranking.by)}"], rows)
 
 
 def failed_table(trials: Trials) -> Table:
