@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-COPIED = ("vislam", "baselines", "configs", "tests", "docs", "benchmarks", "pyproject.toml")
+COPIED = ("vislam", "baselines", "configs", "tests", "docs", "experiments", "pyproject.toml")
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def wrong(module, names):
     room = module.split(".")[0]
     for name in names:
         first, _, rest = name.partition(".")
-        if first in ("baselines", "vislam_baselines", "benchmarks", "tests"):
+        if first in ("baselines", "vislam_baselines", "experiments", "tests"):
             yield name
         if first != "vislam":
             continue

@@ -1,5 +1,6 @@
-"""What all parts share: a drive that is ready to run, a filter timed over it, a part's printed table."""
+"""What all experiments share: a drive that is ready to run, a timed filter, and how a table is told."""
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,24 +9,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_info
 
-from vislam.base.types import Array, BoolArray, IntArray
-from vislam.calibration.likelihood import first_frames
+from vislam.base.files import replace_whole
+from vislam.base.types import Array, BoolArray
+from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
-from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.compare import make_problem, pixel_sigma, provenance
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import Problem
-from vislam.estimators import ekf
+from vislam.core.sequence import Sequence as Recording
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 
-MEMBERS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.MEMBERS[name]) for name in ("ekf", "eks")}
-"""The members that are timed: the standard filter, and the one that takes the most steps back."""
+CONFIGS = Path(__file__).parents[1] / "configs"
 
 
 @dataclass(frozen=True)
 class Part:
-    """What one part of the benchmark found.
+    """What one part of an experiment found.
 
     Attributes
     ----------
@@ -45,9 +47,31 @@ class Part:
     values: dict[str, Any]
 
 
+def tell(parts: Mapping[str, Callable[[], Part]], *, out: Path | None) -> None:
+    """Measure the parts one after the other, print each, and write them all to ``out``."""
+    terminal = Terminal()
+    libraries = [item for item in threadpool_info() if item["user_api"] == "blas"]
+    blas = sorted(f"{item['internal_api']} {item['version']} {item['architecture']}" for item in libraries)
+    machine = {**provenance(), "blas": ", ".join(blas)}
+    for key, value in machine.items():
+        terminal.note(f"{key}: {value}")
+    found = {}
+    for name, measure in parts.items():
+        part = measure()
+        terminal.rows(part.header, part.rows, title=part.title)
+        for note in part.notes:
+            terminal.note(note)
+        found[name] = {"title": part.title, **part.values}
+    if out is not None:
+        document = {"provenance": machine, "parts": found}
+        with replace_whole(out) as temporary:
+            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        terminal.note(f"numbers: {out}")
+
+
 @dataclass(frozen=True)
 class Drive:
-    """A repaired sequence with the config that says how it is to be filtered."""
+    """A repaired sequence with the config that says how it is to be estimated."""
 
     config: Config
     dataset: Dataset
@@ -60,14 +84,18 @@ class Drive:
         return cls(config, open_dataset(config.data, seed=config.seed, data_dir=data_dir))
 
     @property
+    def sequence(self) -> Recording:
+        """The repaired sequence."""
+        return self.dataset.sequence
+
+    @property
     def name(self) -> str:
         """Name of the sequence, marked where a simulation stands in for it."""
-        sequence = self.dataset.sequence
-        return f"{sequence.name} [SIMULATED]" if sequence.stand_in else sequence.name
+        return self.sequence.name + (" [SIMULATED]" if self.sequence.stand_in else "")
 
     @cached_property
     def problem(self) -> Problem:
-        """What the filters are built from."""
+        """What the estimators are built from."""
         return make_problem(self.config, self.dataset)
 
     @cached_property
@@ -77,13 +105,14 @@ class Drive:
 
     def first(self, frames: int) -> "Drive":
         """Return the first frames of the drive."""
-        return replace(
-            self, dataset=replace(self.dataset, sequence=first_frames(self.dataset.sequence, frames))
-        )
+        return self._with(self.sequence.first(frames))
 
     def thinned(self, keep: BoolArray) -> "Drive":
         """Return the drive with the observations of a mask only."""
-        return replace(self, dataset=replace(self.dataset, sequence=self.dataset.sequence.select(keep)))
+        return self._with(self.sequence.select(keep))
+
+    def _with(self, sequence: Recording) -> "Drive":
+        return replace(self, dataset=replace(self.dataset, sequence=sequence))
 
 
 @dataclass(frozen=True)
@@ -118,18 +147,12 @@ class Timed:
         [s].
     backward : float
         Time of the final estimate [s].
-    memory : int
-        Most that was held for the backward pass [bytes].
     sizes : list of FrameSizes
-    dimension : (T,)
-        Size of the state's error after each frame.
     """
 
     step_time: Array
     backward: float
-    memory: int
     sizes: list[FrameSizes]
-    dimension: IntArray
 
     @property
     def forward(self) -> float:
@@ -137,36 +160,24 @@ class Timed:
         return float(self.step_time.sum())
 
 
-def timed(drive: Drive, options: EkfOptions, *, clock: Callable[[], float] = time.thread_time) -> Timed:
-    """Run a filter over a drive, there and back; what its steps return is not kept.
-
-    The clock is the thread's own, to which other work on the machine adds little; where there are more
-    threads than one it has to be another.
-    """
+def timed(drive: Drive, options: EkfOptions) -> Timed:
+    """Run a filter over a drive, there and back, by the clock of the one thread that works."""
     solver = EkfEstimator(drive.problem, options)
-    state, recorder = solver.state, solver._recorder
     times: list[float] = []
     sizes: list[FrameSizes] = []
-    dimension: list[int] = []
-    for frame in drive.dataset.sequence.frames(drive.sigma):
+    for frame in drive.sequence.frames(drive.sigma):
         refused = np.zeros(len(frame.track), bool)
-        held, known = len(state.track), int(np.isin(state.track, frame.track).sum())
-        before = clock()
+        track = solver.state.track
+        held, known = len(track), int(np.isin(track, frame.track).sum())
+        before = time.thread_time()
         record = solver.process(frame, refused)
-        times.append(clock() - before)
+        times.append(time.thread_time() - before)
         fused = record.dof // 3
         assert record.used is not None
         sizes.append(FrameSizes(held, known, fused, int(record.used.sum()) - fused))
-        dimension.append(len(state.cov))
-    before = clock()
+    before = time.thread_time()
     solver.finalize()
-    return Timed(
-        step_time=np.array(times),
-        backward=clock() - before,
-        memory=0 if recorder is None else recorder.peak,
-        sizes=sizes,
-        dimension=np.array(dimension),
-    )
+    return Timed(np.array(times), time.thread_time() - before, sizes)
 
 
 def quickest(runs: Sequence[Timed]) -> Timed:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.track_statistics import load_sequence, main, one_frame_spread, statistics
+from experiments.track_statistics import load_sequence, main, one_frame_spread, statistics
 from tests.conftest import recorded
 from vislam.comparison import config as configuration
 from vislam.comparison.config import DataConfig

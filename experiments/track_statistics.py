@@ -1,6 +1,6 @@
 """Tracks of a recording and of a simulated drive that stands for it, side by side, after the same repairs.
 
-``python -m benchmarks.track_statistics configs/ds3.yaml configs/like_03.yaml``
+``python -m experiments.track_statistics configs/ds3.yaml configs/like_03.yaml``
 """
 
 import argparse
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from vislam.base.errors import ConfigError
-from vislam.base.types import Array, IntArray
+from vislam.base.types import Array
 from vislam.cli.command import answer
 from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
@@ -26,7 +26,7 @@ _UNITS = ("mean column [px]", "disparity [px]", "row [px]")
 
 def statistics(sequence: data.Sequence) -> dict[str, float]:
     """Statistics of the tracks of a repaired sequence, by name."""
-    in_view, length = np.diff(sequence.offset), lengths(sequence.track)
+    in_view, length = np.diff(sequence.offset), np.unique(sequence.track, return_counts=True)[1]
     spread = one_frame_spread(sequence)
     return {
         "tracks in view, mean": float(in_view.mean()),
@@ -41,11 +41,6 @@ def statistics(sequence: data.Sequence) -> dict[str, float]:
         },
         **{f"one-frame residual, {name}": float(value) for name, value in zip(_UNITS, spread, strict=True)},
     }
-
-
-def lengths(track: IntArray) -> IntArray:
-    """Number of observations ``(m,)`` of each track."""
-    return np.unique(track, return_counts=True)[1]
 
 
 def one_frame_spread(sequence: data.Sequence) -> Array:
@@ -77,7 +72,7 @@ def _simulation_alone(section: DataConfig) -> DataConfig:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the statistics and return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.track_statistics", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m experiments.track_statistics", description=__doc__)
     parser.add_argument("recorded", type=Path, help="config of the recording")
     parser.add_argument("simulated", type=Path, help="config with the simulation, and the same repairs")
     parser.add_argument("--data-dir", type=Path, help="first folder to look for the recording")

@@ -1,4 +1,4 @@
-"""A smoother timed over a drive, with the share of its time that goes by inside GTSAM's solver."""
+"""Part ``gtsam``: how much of the time of iSAM2's steps goes by inside GTSAM's solver."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -10,10 +10,16 @@ from unittest.mock import patch
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.timing import Drive
+from experiments.timing import Drive, Part, milliseconds
 from vislam.base.types import Array
 from vislam.core.estimator import Estimate
 from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engine
+
+RUNS = {
+    "isam2": SmootherOptions(),
+    "isam2, robust: cauchy": SmootherOptions(robust="cauchy"),
+    "isam2, marginals: all": SmootherOptions(marginals="all"),
+}
 
 
 @dataclass
@@ -46,26 +52,18 @@ class Smoothed:
         twists and points. Building the factors is outside, though GTSAM's constructors do it [s].
     final_time : float
         Of the final estimate [s].
-    causal : (T, 4, 4)
-        Pose of each frame as it was then.
     estimate : Estimate
     """
 
     step_time: Array
     solver_time: Array
     final_time: float
-    causal: Array
     estimate: Estimate
-
-    @property
-    def forward(self) -> float:
-        """Time of all steps [s]."""
-        return float(self.step_time.sum())
 
     @property
     def outside(self) -> float:
         """Share of the steps' time outside GTSAM's solver."""
-        return 1.0 - float(self.solver_time.sum()) / self.forward
+        return 1.0 - float(self.solver_time.sum() / self.step_time.sum())
 
     @property
     def last_of_first(self) -> float:
@@ -75,29 +73,24 @@ class Smoothed:
 
 
 def smoothed(
-    drive: Drive,
-    options: SmootherOptions,
-    *,
-    on_frame: Callable[[int, SmootherEstimator], None] | None = None,
+    drive: Drive, options: SmootherOptions, *, on_frame: Callable[[int], None] = lambda k: None
 ) -> Smoothed:
     """Run a smoother over a drive, with one thread, whose own clock it is."""
     solver = SmootherEstimator(drive.problem, options)
-    step_time, solver_time, causal = [], [], []
+    step_time, solver_time = [], []
     with threadpool_limits(1), _counted() as inside:
-        for frame in drive.dataset.sequence.frames(drive.sigma):
+        for frame in drive.sequence.frames(drive.sigma):
             refused = np.zeros(len(frame.track), bool)
             inside.seconds = 0.0
             before = time.thread_time()
-            record = solver.process(frame, refused)
+            solver.process(frame, refused)
             step_time.append(time.thread_time() - before)
             solver_time.append(inside.seconds)
-            causal.append(record.world_T_imu)
-            if on_frame is not None:
-                on_frame(frame.k, solver)
+            on_frame(frame.k)
         before = time.thread_time()
         estimate = solver.finalize()
         final_time = time.thread_time() - before
-    return Smoothed(np.array(step_time), np.array(solver_time), final_time, np.array(causal), estimate)
+    return Smoothed(np.array(step_time), np.array(solver_time), final_time, estimate)
 
 
 @contextmanager
@@ -110,3 +103,28 @@ def _counted() -> Iterator[Inside]:
         patch.object(kind, "points", inside.counting(kind.points)),
     ):
         yield inside
+
+
+def inside_gtsam(drive: Drive) -> Part:
+    """Run each smoother once over a drive, with all tracks."""
+    runs = {name: smoothed(drive, options) for name, options in RUNS.items()}
+    return Part(
+        title=f"gtsam: {drive.name}, {len(drive.sequence)} frames, 1 thread",
+        header=["run", "step, mean [ms]", "outside GTSAM", "last tenth/first", "final/steps", "rescues"],
+        rows=[
+            [
+                name,
+                milliseconds(run.step_time.mean()),
+                f"{100 * run.outside:.0f} %",
+                f"{run.last_of_first:.2f}",
+                f"{run.final_time / run.step_time.sum():.2f}",
+                f"{run.estimate.counts['rescues']}",
+            ]
+            for name, run in runs.items()
+        ],
+        notes=("outside: all but GTSAM's updates and the reading of its estimates",),
+        values={
+            name: {"outside_share": run.outside, "last_tenth_ratio": run.last_of_first}
+            for name, run in runs.items()
+        },
+    )

@@ -1,1 +1,0 @@
-"""Measurements of speed and consistency; run as python -m benchmarks.<name>."""

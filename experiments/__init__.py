@@ -1,0 +1,1 @@
+"""Measurements of this checkout that no user needs: time, growth, and what documents refer to."""

@@ -1,0 +1,109 @@
+"""``python -m experiments.speed``: what estimators cost, in ratios of one run. It measures, never asserts.
+
+Parts: ``floor`` (the filter against its own linear algebra), ``textbook`` (the filter that keeps all
+landmarks beside it), ``tracks`` (cost of a track), ``gtsam`` (the smoother against GTSAM's solver),
+``growth`` (long simulated drives). Times are those of the one thread that works.
+Exit codes: 0 done, 2 bad arguments or data.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+from experiments import floor, growth, inside_gtsam, textbook
+from experiments.timing import CONFIGS, Drive, Part, tell
+from vislam.base.errors import ConfigError, DataError
+from vislam.base.files import check_writable
+from vislam.cli.command import answer
+from vislam.comparison.config import Config
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What is measured on, and for how long.
+
+    Attributes
+    ----------
+    main, many_tracks : Path or Config
+        Config of the recording, and of the drive with many tracks in view.
+    data_dir : Path or None
+        First folder to look for data.
+    repeats : int
+        Runs of which the least times count.
+    seconds : float
+        Time that the textbook filter is given [s].
+    thinned : int
+        Frames on which tracks are thinned.
+    drives : tuple of int
+        Frames of the simulated drives.
+    window, warm : int
+        Frames at the start and at the end of these that are compared, and those before the first window.
+    """
+
+    main: Path | Config = CONFIGS / "ds3.yaml"
+    many_tracks: Path | Config = CONFIGS / "kitti00.yaml"
+    data_dir: Path | None = None
+    repeats: int = 2
+    seconds: float = 120.0
+    thinned: int = 40
+    drives: tuple[int, ...] = growth.FRAMES
+    window: int = 500
+    warm: int = 200
+
+    @cached_property
+    def drive(self) -> Drive:
+        """The recording."""
+        return Drive.open(self.main, data_dir=self.data_dir)
+
+    def tracks(self) -> Part:
+        """The cost of a track."""
+        return textbook.tracks(Drive.open(self.many_tracks, data_dir=self.data_dir), frames=self.thinned)
+
+
+PARTS: Mapping[str, Callable[[Bench], Part]] = {
+    "floor": lambda bench: floor.measure(bench.drive, repeats=bench.repeats),
+    "textbook": lambda bench: textbook.textbook(bench.drive, seconds=bench.seconds),
+    "tracks": Bench.tracks,
+    "gtsam": lambda bench: inside_gtsam.inside_gtsam(bench.drive),
+    "growth": lambda bench: growth.growth(frames=bench.drives, window=bench.window, warm=bench.warm),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.speed", description=__doc__)
+    add = parser.add_argument
+    add("--data", type=Path, metavar="FOLDER", help="first folder to look for data")
+    add(
+        "--part", nargs="+", default=list(PARTS), metavar="NAME", help=f"of {', '.join(PARTS)} (default: all)"
+    )
+    add("--seconds", type=float, default=120.0, help="time for the textbook filter (default: 120)")
+    add("--out", type=Path, metavar="FILE.json", help="file to write all numbers to")
+    options = parser.parse_args(arguments)
+    return answer(lambda: _measure(options), verbose=False)
+
+
+def _measure(options: argparse.Namespace) -> int:
+    for name in options.part:
+        if name not in PARTS:
+            raise ConfigError(f"--part {name}: no such part; known are {', '.join(PARTS)}")
+    if not 0.0 < options.seconds < float("inf"):
+        raise ConfigError(f"--seconds {options.seconds:g}: expected a positive time")
+    if options.data is not None and not options.data.is_dir():
+        raise DataError(f"{options.data}: no such folder")
+    if options.out is not None:
+        check_writable(options.out)
+    run(Bench(data_dir=options.data, seconds=options.seconds), options.part, out=options.out)
+    return 0
+
+
+def run(bench: Bench, parts: Sequence[str], *, out: Path | None) -> None:
+    """Measure the parts one after the other, print each, and write them all to ``out``."""
+    tell({name: partial(PARTS[name], bench) for name in parts}, out=out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
