@@ -8,8 +8,7 @@ from scipy.stats import chi2
 
 from tests.evaluation.test_evaluation import circle, made_run
 from vislam.evaluation.agreement import Agreement, agreement, compared, transported
-from vislam.evaluation.consistency import COMPONENTS
-from vislam.evaluation.normalised import usable
+from vislam.evaluation.normalised import COMPONENTS, usable
 from vislam.geometry import se3
 
 FRAMES = 400

@@ -10,8 +10,8 @@ from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.evaluation.test_statistics import decaying
 from vislam.core.reference import Reference
 from vislam.evaluation.alignment import align
-from vislam.evaluation.consistency import PARTS, nees
 from vislam.evaluation.normalised import (
+    PARTS,
     PROBABILITIES,
     bias_errors,
     nis_statistic,
@@ -26,6 +26,11 @@ LENGTH = 3.0
 SUSPECT = 1e-3
 MOVE = se3.exp(np.array([0.0, 0.0, 0.8, 10.0, -20.0, 3.0]))
 SWAP = [3, 4, 5, 0, 1, 2]
+
+
+def nees(error, cov):
+    """Normalised squared errors ``(n,)`` by their definition."""
+    return np.array([one @ np.linalg.inv(matrix) @ one for one, matrix in zip(error, cov, strict=True)])
 
 
 def body_cov():
@@ -262,9 +267,12 @@ def test_the_coverage_curve_of_a_sound_claim_is_the_diagonal_and_of_a_bold_one_b
 
 def test_shares_within_multiples_are_those_of_normal_errors(rng):
     truth, run = drive(rng)
-    found = pose_errors(run, of_truth(truth))["pose"].within()
+    one = pose_errors(run, of_truth(truth))["pose"]
+    found = one.within()
     assert found.shape == (3, 6)
     assert np.allclose(found.T, [0.683, 0.954, 0.997], atol=0.1)
+    # Of a claim of twice as much, those within one standard deviation are those within two.
+    assert np.array_equal(replace(one, sigma=2.0 * one.sigma).within((1.0,))[0], found[1])
 
 
 def reckoned(rng, runs, frames=200):

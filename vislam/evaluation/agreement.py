@@ -21,8 +21,7 @@ from scipy.stats import chi2
 
 from vislam.base.types import Array, IntArray
 from vislam.core.run import Run
-from vislam.evaluation.consistency import COMPONENTS
-from vislam.evaluation.normalised import usable, whiten
+from vislam.evaluation.normalised import COMPONENTS, usable, whiten
 from vislam.geometry import se3
 
 _STAYS = 10

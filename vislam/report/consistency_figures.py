@@ -8,8 +8,7 @@ from scipy.stats import chi2
 
 from vislam.base.legible import literal
 from vislam.core.run import Run
-from vislam.evaluation.consistency import COMPONENTS
-from vislam.evaluation.normalised import PROBABILITIES, Normalised
+from vislam.evaluation.normalised import COMPONENTS, PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
 from vislam.report.shown import COLOURS, Shown
 
