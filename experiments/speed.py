@@ -9,7 +9,7 @@ Exit codes: 0 done, 2 bad arguments or data.
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -37,8 +37,8 @@ class Bench:
         Time that the textbook filter is given [s].
     thinned : int
         Frames on which tracks are thinned.
-    drives : tuple of int
-        Frames of the simulated drives.
+    drives : mapping of str to sequence of int
+        Frames of the simulated drives of each estimator.
     window, warm : int
         Frames at the start and at the end of these that are compared, and those before the first window.
     """
@@ -49,7 +49,7 @@ class Bench:
     repeats: int = 2
     seconds: float = 120.0
     thinned: int = 40
-    drives: tuple[int, ...] = growth.FRAMES
+    drives: Mapping[str, Sequence[int]] = field(default_factory=lambda: growth.DRIVES)
     window: int = 500
     warm: int = 200
 
@@ -68,7 +68,7 @@ PARTS: Mapping[str, Callable[[Bench], Part]] = {
     "textbook": lambda bench: textbook.textbook(bench.drive, seconds=bench.seconds),
     "tracks": Bench.tracks,
     "gtsam": lambda bench: inside_gtsam.inside_gtsam(bench.drive),
-    "growth": lambda bench: growth.growth(frames=bench.drives, window=bench.window, warm=bench.warm),
+    "growth": lambda bench: growth.growth(bench.drives, window=bench.window, warm=bench.warm),
 }
 
 

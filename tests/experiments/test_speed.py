@@ -59,7 +59,7 @@ def test_all_parts_are_measured_and_written(short_config, tmp_path, capsys):
         repeats=1,
         seconds=0.01,
         thinned=8,
-        drives=(20, 30),
+        drives={"ekf": (20, 30), "isam2": (20,)},
         window=5,
         warm=4,
     )
@@ -75,7 +75,6 @@ def test_all_parts_are_measured_and_written(short_config, tmp_path, capsys):
         ("ekf", 20),
         ("ekf", 30),
         ("isam2", 20),
-        ("isam2", 30),
     ]
     printed = capsys.readouterr().out
     assert "SIMULATED" in printed
