@@ -8,10 +8,10 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base import settings
 from vislam.base.fields import STRICT
-from vislam.base.types import Array, BoolArray
 from vislam.comparison.config import Six
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, POSE
 from vislam_baselines.twist import Integration, step_twist
@@ -46,30 +46,17 @@ class DeadReckoning:
         self._cov = np.diag(np.concatenate([problem.first_pose_sigma, problem.bias_sigma]) ** 2)
         if options.motion_variance is not None:
             self._cov[BIAS, BIAS] = 0.0
-        self._poses: list[Array] = []
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame; its observations are not looked at."""
-        problem = self._problem
         if frame.k > 0:
             self._predict(frame)
-        self._poses.append(self._world_T_imu)
-        nothing = np.zeros(len(frame.track), bool)
-        return StepRecord(
-            world_T_imu=self._world_T_imu,
-            pose_cov=self._cov[POSE, POSE].copy(),
-            bias=problem.bias_mean,
-            bias_sigma=None,
-            nis=0.0,
-            dof=0,
-            log_likelihood=float("nan"),
-            used=nothing,
-            gated=nothing,
-        )
+        bias = State(self._problem.bias_mean)
+        return Step(self._world_T_imu, self._cov[POSE, POSE].copy(), states={TWIST_BIAS: bias})
 
-    def finalize(self) -> Estimate:
-        """Return the poses; there is no map."""
-        return Estimate(np.array(self._poses), None, np.empty(0, np.int64), np.empty((0, 3)), None, {})
+    def finalize(self) -> Final:
+        """Leave the poses as they were; there is no map."""
+        return Final()
 
     def _predict(self, frame: Frame) -> None:
         problem, options = self._problem, self._options

@@ -11,8 +11,9 @@ from scipy.stats import chi2
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise
@@ -64,25 +65,23 @@ class KnownMap:
             sigma[BIAS] = 0.0
             self._noise = MotionNoise(problem.noise.twist, np.zeros(6))
         self._world_T_imu, self._bias, self._cov = np.eye(4), problem.bias_mean, np.diag(sigma**2)
-        self._poses: list[Array] = []
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame: predict, gate, update."""
         if frame.k > 0:
             self._predict(frame)
         rows, slots = self._in_map(frame)
         innovation = self._innovation(frame, rows, slots)
         passes = (innovation.depth > NEAREST) & (innovation.distances(self._cov) <= self._threshold)
-        allowed = ~refused[rows]
+        allowed = frame.stereo.usable[rows]
         nis, log_likelihood = self._update(innovation.select(allowed & passes))
-        self._poses.append(self._world_T_imu)
-        used, gated = np.zeros(len(refused), bool), np.zeros(len(refused), bool)
+        used, gated = np.zeros((2, len(frame.stereo)), bool)
         used[rows[allowed & passes]], gated[rows[allowed & ~passes]] = True, True
-        return StepRecord(
-            world_T_imu=self._world_T_imu,
+        sigma = np.sqrt(np.diagonal(self._cov)[BIAS]) if self._options.bias else None
+        return Step(
+            pose=self._world_T_imu,
             pose_cov=self._cov[POSE, POSE].copy(),
-            bias=self._bias,
-            bias_sigma=np.sqrt(np.diagonal(self._cov)[BIAS]) if self._options.bias else None,
+            states={TWIST_BIAS: State(self._bias, sigma)},
             nis=nis,
             dof=3 * int(np.count_nonzero(used)),
             log_likelihood=log_likelihood,
@@ -90,14 +89,11 @@ class KnownMap:
             gated=gated,
         )
 
-    def finalize(self) -> Estimate:
-        """Return the poses; the map was given. ConfigError if it has no track of the data."""
+    def finalize(self) -> Final:
+        """Leave the poses as they were; the map was given. ConfigError if it has no track of the data."""
         if not self._fits:
             raise self._saved.refusal("has none of the tracks")
-        nothing = np.empty(0, np.int64)
-        return Estimate(
-            np.array(self._poses), None, nothing, np.empty((0, 3)), None, {}, up=self._saved.run.up
-        )
+        return Final(up=self._saved.run.up)
 
     def _in_map(self, frame: Frame) -> tuple[IntArray, IntArray]:
         """Rows of the frame whose tracks are in the map, and their places there.
@@ -105,29 +101,31 @@ class KnownMap:
         Ids of tracks mean something in one recording with one set of repairs only, and every map has small
         ones. That it is of this data shows, once, in how it looks from its own pose.
         """
-        run = self._saved.run
-        _, rows, slots = np.intersect1d(frame.track, run.track, assume_unique=True, return_indices=True)
+        points = self._saved.run.landmarks
+        _, rows, slots = np.intersect1d(
+            frame.stereo.track, points.track, assume_unique=True, return_indices=True
+        )
         if len(rows) and not self._fits:
-            seen = look(self._problem.rig, self._saved.pose(frame), run.points_world[slots])
-            if np.median(np.abs(frame.z[rows] - seen.z).max(axis=1)) > _OTHER_MAP_PX:
+            seen = look(self._problem.rig, self._saved.pose(frame), points.points_world[slots])
+            if np.median(np.abs(frame.stereo.z[rows] - seen.z).max(axis=1)) > _OTHER_MAP_PX:
                 raise self._saved.refusal(f"is not where frame {frame.k} sees its tracks")
             self._fits = True
         return rows, slots
 
     def _predict(self, frame: Frame) -> None:
-        step = motion.integrate(frame.twist, bias=self._bias, dt=frame.dt, noise=self._noise)
+        step = motion.integrate(frame.odometry.twist, bias=self._bias, dt=frame.dt, noise=self._noise)
         transition, noise = motion.transition(step)
         self._world_T_imu = self._world_T_imu @ step.prev_T_next
         self._cov = transition @ self._cov @ transition.T + noise
 
     def _innovation(self, frame: Frame, rows: IntArray, slots: IntArray) -> "_Innovation":
-        run = self._saved.run
-        seen = look(self._problem.rig, self._world_T_imu, run.points_world[slots])
+        points = self._saved.run.landmarks
+        seen = look(self._problem.rig, self._world_T_imu, points.points_world[slots])
         variance = pixel_variances(frame, self._options.pixel_variance)[rows]
         noise = variance[:, :, None] * np.eye(3)
-        if self._options.map_uncertainty and run.points_cov is not None:
-            noise = noise + seen.by_point @ run.points_cov[slots] @ seen.by_point.transpose(0, 2, 1)
-        return _Innovation.of(seen, frame.z[rows], noise)
+        if self._options.map_uncertainty and points.points_cov is not None:
+            noise = noise + seen.by_point @ points.points_cov[slots] @ seen.by_point.transpose(0, 2, 1)
+        return _Innovation.of(seen, frame.stereo.z[rows], noise)
 
     def _update(self, innovation: "_Innovation") -> tuple[float, float]:
         """Correct pose and bias; the NIS and the logarithm of the density of the innovation."""

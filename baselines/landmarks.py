@@ -12,7 +12,7 @@ from vislam_baselines.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class Landmarks:
+class IndependentLandmarks:
     """Landmarks in the world, independent of each other.
 
     Attributes
@@ -29,17 +29,19 @@ class Landmarks:
     cov: Array
 
     @classmethod
-    def join(cls, parts: Sequence["Landmarks"]) -> "Landmarks":
+    def join(cls, parts: Sequence["IndependentLandmarks"]) -> "IndependentLandmarks":
         """All landmarks of the parts."""
         track, points, cov = zip(*((part.track, part.points_world, part.cov) for part in parts), strict=True)
         return cls(np.concatenate(track), np.concatenate(points), np.concatenate(cov))
 
-    def select(self, which: IntArray | BoolArray) -> "Landmarks":
-        """Landmarks at places, or of a mask."""
-        return Landmarks(self.track[which], self.points_world[which], self.cov[which])
+    def select(self, which: IntArray | BoolArray) -> "IndependentLandmarks":
+        """IndependentLandmarks at places, or of a mask."""
+        return IndependentLandmarks(self.track[which], self.points_world[which], self.cov[which])
 
 
-def initialise(rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, variance: Array) -> Landmarks:
+def initialise(
+    rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, variance: Array
+) -> IndependentLandmarks:
     """Landmarks of tracks ``(n,)`` from their first measurements (eq. 20, y from the row).
 
     Parameters
@@ -52,7 +54,7 @@ def initialise(rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, va
     """
     world_T_cam = world_T_imu @ rig.imu_T_cam
     by_z = world_T_cam[:3, :3] @ rig.back_projection_jacobian(z)
-    return Landmarks(
+    return IndependentLandmarks(
         track,
         se3.transform(world_T_cam, rig.back_project(z)),
         (by_z * variance[:, None, :]) @ by_z.transpose(0, 2, 1),
@@ -60,13 +62,13 @@ def initialise(rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, va
 
 
 def update(
-    landmarks: Landmarks, seen: Sightings, z: Array, variance: Array
-) -> tuple[Landmarks, float, float]:
+    landmarks: IndependentLandmarks, seen: Sightings, z: Array, variance: Array
+) -> tuple[IndependentLandmarks, float, float]:
     """Update each landmark with its own measurement (eq. 14, the covariance in Joseph's form).
 
     Parameters
     ----------
-    landmarks : Landmarks
+    landmarks : IndependentLandmarks
     seen : Sightings
         As predicted.
     z, variance : (m, 3)
@@ -74,7 +76,7 @@ def update(
 
     Returns
     -------
-    Landmarks
+    IndependentLandmarks
     float, float
         Normalised innovation squared, and the logarithm of the density of the innovations.
     """

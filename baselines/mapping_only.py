@@ -10,11 +10,12 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
-from vislam.base.types import Array, BoolArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import Final, Step
+from vislam.core.trajectory import Landmarks
 from vislam_baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
-from vislam_baselines.landmarks import Landmarks, initialise, update
+from vislam_baselines.landmarks import IndependentLandmarks, initialise, update
 from vislam_baselines.saved import SavedRun
 from vislam_baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 
@@ -51,35 +52,33 @@ class MappingOnly:
         if options.poses != "dead_reckoning":
             self._saved = SavedRun(options.poses, at="estimators.mapping_only.poses")
         self._reckoning = DeadReckoning(problem, DeadReckoningOptions(integration="first"))
-        self._in_view = Landmarks(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
-        self._left: list[Landmarks] = []
-        self._poses: list[Array] = []
+        self._in_view = IndependentLandmarks(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
+        self._left: list[IndependentLandmarks] = []
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame: its pose as given, then update what is known, then initialise what is new."""
-        given = self._reckoning.process(frame, refused)
+        given = self._reckoning.process(frame)
         if self._saved is not None:
-            given = replace(given, world_T_imu=self._saved.pose(frame), pose_cov=None, bias=None)
-        pose = given.world_T_imu
-        self._poses.append(pose)
+            given = Step(self._saved.pose(frame))
+        pose = given.pose
         variance = pixel_variances(frame, self._options.pixel_variance)
-        wanted = (frame.track % self._options.every == 0) & ~refused
+        wanted = (frame.stereo.track % self._options.every == 0) & frame.stereo.usable
 
         _, slots, rows = np.intersect1d(
-            self._in_view.track, frame.track, assume_unique=True, return_indices=True
+            self._in_view.track, frame.stereo.track, assume_unique=True, return_indices=True
         )
-        self._left.append(self._in_view.select(~np.isin(self._in_view.track, frame.track)))
+        self._left.append(self._in_view.select(~np.isin(self._in_view.track, frame.stereo.track)))
         known = self._in_view.select(slots)
         seen = look(self._rig, pose, known.points_world)
         fused = wanted[rows] & (seen.depth > NEAREST)
         updated, nis, log_likelihood = update(
-            known.select(fused), seen.select(fused), frame.z[rows[fused]], variance[rows[fused]]
+            known.select(fused), seen.select(fused), frame.stereo.z[rows[fused]], variance[rows[fused]]
         )
 
-        new = wanted & (frame.z[:, 0] - frame.z[:, 1] > SMALLEST_DISPARITY)
+        new = wanted & (frame.stereo.z[:, 0] - frame.stereo.z[:, 1] > SMALLEST_DISPARITY)
         new[rows] = False
-        first = initialise(self._rig, pose, frame.track[new], frame.z[new], variance[new])
-        self._in_view = Landmarks.join([known.select(~fused), updated, first])
+        first = initialise(self._rig, pose, frame.stereo.track[new], frame.stereo.z[new], variance[new])
+        self._in_view = IndependentLandmarks.join([known.select(~fused), updated, first])
         used = new.copy()
         used[rows[fused]] = True
         return replace(
@@ -91,16 +90,11 @@ class MappingOnly:
             gated=wanted & ~used,
         )
 
-    def finalize(self) -> Estimate:
-        """Return the poses as given, and all landmarks, their ids ascending."""
-        landmarks = Landmarks.join([*self._left, self._in_view])
+    def finalize(self) -> Final:
+        """Leave the poses as given, and return all landmarks, their ids ascending."""
+        landmarks = IndependentLandmarks.join([*self._left, self._in_view])
         landmarks = landmarks.select(np.argsort(landmarks.track))
-        return Estimate(
-            world_T_imu=np.array(self._poses),
-            pose_cov=None,
-            track=landmarks.track,
-            points_world=landmarks.points_world,
-            points_cov=landmarks.cov,
-            counts={},
+        return Final(
+            map=Landmarks(landmarks.track, landmarks.points_world, landmarks.cov),
             up=None if self._saved is None else self._saved.run.up,
         )

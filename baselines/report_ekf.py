@@ -16,12 +16,14 @@ from scipy.stats import chi2
 from vislam.base import settings
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, Final, State, Step
+from vislam.core.trajectory import Landmarks
 from vislam.geometry import se3, so3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE
-from vislam_baselines.landmarks import Landmarks, initialise
+from vislam_baselines.landmarks import IndependentLandmarks, initialise
 from vislam_baselines.sightings import NEAREST, pixel_variances
 from vislam_baselines.twist import Integration, step_twist
 
@@ -102,20 +104,19 @@ class ReportEkf:
         self.track: IntArray = np.empty(0, np.int64)
         self.points_world = np.empty((0, 3))
         self.cov = np.diag(prior)
-        self._poses: list[Array] = []
         self._indefinite: list[int] = []
-        self._left: list[Landmarks] = []
+        self._left: list[IndependentLandmarks] = []
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame."""
         if frame.k > 0:
             self._predict(frame)
-        wanted = ~refused & (frame.track % self._options.every == 0)
+        wanted = frame.stereo.usable & (frame.stereo.track % self._options.every == 0)
         if self._options.finished == "dropped":
-            self._drop(~np.isin(self.track, frame.track))
-        known = np.isin(frame.track, self.track)
+            self._drop(~np.isin(self.track, frame.stereo.track))
+        known = np.isin(frame.stereo.track, self.track)
         # A point without a disparity has no place.
-        new = wanted & ~known & (frame.z[:, 0] != frame.z[:, 1])
+        new = wanted & ~known & (frame.stereo.z[:, 0] != frame.stereo.z[:, 1])
         if self._options.new_landmarks == "independent":
             self._append_independent(frame, np.flatnonzero(new))
             used, gated, nis = self._update(frame, wanted & (known | new))
@@ -124,16 +125,15 @@ class ReportEkf:
             self._append_correlated(frame, np.flatnonzero(new))
         if not (np.isfinite(self.world_T_imu).all() and np.isfinite(self.cov).all()):
             raise ArithmeticError("pose or covariance is no longer finite")
-        self._poses.append(self.world_T_imu)
         # As printed the covariance loses its symmetry; what it claims is the symmetric part.
         claimed = 0.5 * (self.cov[:NAV, :NAV] + self.cov[:NAV, :NAV].T)
         valid = nis >= 0.0 and bool(_semi_definite(claimed))
         self._indefinite += [] if valid else [frame.k]
-        return StepRecord(
-            world_T_imu=self.world_T_imu,
+        sigma = np.sqrt(np.maximum(np.diagonal(claimed)[BIAS], 0.0)) if valid else None
+        return Step(
+            pose=self.world_T_imu,
             pose_cov=claimed[POSE, POSE] if valid else None,
-            bias=self.bias.copy(),
-            bias_sigma=np.sqrt(np.maximum(np.diagonal(claimed)[BIAS], 0.0)) if valid else None,
+            states={TWIST_BIAS: State(self.bias.copy(), sigma)},
             nis=nis if valid else 0.0,
             dof=3 * int((used & known).sum()) if valid else 0,
             log_likelihood=float("nan"),
@@ -141,19 +141,16 @@ class ReportEkf:
             gated=gated,
         )
 
-    def finalize(self) -> Estimate:
-        """Return the causal poses, and the landmarks as they were last known."""
+    def finalize(self) -> Final:
+        """Leave the poses as they were, and return the landmarks as they were last known."""
         self._drop(np.ones(len(self.track), bool))
-        every = Landmarks.join(self._left)
+        every = IndependentLandmarks.join(self._left)
         # A track that was out of sight for a while has two; the later one knows more.
         _, last = np.unique(every.track[::-1], return_index=True)
         found = every.select(len(every.track) - 1 - last)
         points_cov = 0.5 * (found.cov + np.swapaxes(found.cov, 1, 2))
         points_cov[~_semi_definite(points_cov)] = np.nan
-        events = self._events()
-        return Estimate(
-            np.array(self._poses), None, found.track, found.points_world, points_cov, {}, events=events
-        )
+        return Final(map=Landmarks(found.track, found.points_world, points_cov), events=self._events())
 
     def _events(self) -> tuple[str, ...]:
         """Say that the covariance ceased to be one."""
@@ -183,18 +180,18 @@ class ReportEkf:
         """Eqs. (28) and (29) with the wanted sightings; which were fused, which gated, and their NIS."""
         rig = self._problem.rig
         rows = np.flatnonzero(wanted)
-        slots = _places(self.track, frame.track[rows])
+        slots = _places(self.track, frame.stereo.track[rows])
         in_camera = se3.transform(se3.inverse(self.world_T_imu @ rig.imu_T_cam), self.points_world[slots])
         seen = np.abs(in_camera[:, 2]) > _NO_DEPTH
         rows, slots, in_camera = rows[seen], slots[seen], in_camera[seen]
-        innovation = frame.z[rows] - rig.project(in_camera)
+        innovation = frame.stereo.z[rows] - rig.project(in_camera)
         by_pose, by_point = self._jacobians(in_camera, self.points_world[slots])
         variance = pixel_variances(frame, self._options.pixel_variance)[rows]
         passes = np.ones(len(rows), bool)
         if self._options.gate:
             distance = self._distances(innovation, by_pose, by_point, slots, variance)
             passes = (distance <= self._threshold) & (in_camera[:, 2] > NEAREST)
-        used, gated = np.zeros(len(frame.track), bool), np.zeros(len(frame.track), bool)
+        used, gated = np.zeros(len(frame.stereo.track), bool), np.zeros(len(frame.stereo.track), bool)
         used[rows[passes]], gated[rows[~passes]] = True, True
         if not passes.any():
             return used, gated, 0.0
@@ -250,7 +247,7 @@ class ReportEkf:
     def _append_correlated(self, frame: Frame, rows: IntArray) -> None:
         """Place new landmarks at their first sighting, with the covariance of pose and sighting."""
         new, rig = self._first(frame, rows), self._problem.rig
-        in_imu = se3.transform(rig.imu_T_cam, rig.back_project(frame.z[rows]))
+        in_imu = se3.transform(rig.imu_T_cam, rig.back_project(frame.stereo.z[rows]))
         rotation = self.world_T_imu[:3, :3]
         grow = np.zeros((3 * len(rows), len(self.cov)))
         grow[:, POSE] = (rotation @ circled_dot(in_imu)).reshape(3 * len(rows), 6)
@@ -258,12 +255,14 @@ class ReportEkf:
         noise[np.arange(len(rows)), :, np.arange(len(rows))] = new.cov
         self._grow(new, grow, noise.reshape(3 * len(rows), 3 * len(rows)))
 
-    def _first(self, frame: Frame, rows: IntArray) -> Landmarks:
+    def _first(self, frame: Frame, rows: IntArray) -> IndependentLandmarks:
         """Landmarks as a sighting alone places them."""
         variance = pixel_variances(frame, self._options.pixel_variance)[rows]
-        return initialise(self._problem.rig, self.world_T_imu, frame.track[rows], frame.z[rows], variance)
+        return initialise(
+            self._problem.rig, self.world_T_imu, frame.stereo.track[rows], frame.stereo.z[rows], variance
+        )
 
-    def _grow(self, new: Landmarks, grow: Array, noise: Array) -> None:
+    def _grow(self, new: IndependentLandmarks, grow: Array, noise: Array) -> None:
         """Append landmarks whose error is ``grow`` times that of the state, plus noise."""
         cross = grow @ self.cov
         self.cov = np.block([[self.cov, cross.T], [cross, cross @ grow.T + noise]])
@@ -274,7 +273,7 @@ class ReportEkf:
         """Take landmarks ``(m,)`` out of the state, and remember them."""
         place = (NAV + 3 * np.flatnonzero(left))[:, None] + np.arange(3)
         cov = self.cov[place[:, :, None], place[:, None, :]]
-        self._left.append(Landmarks(self.track[left], self.points_world[left], cov))
+        self._left.append(IndependentLandmarks(self.track[left], self.points_world[left], cov))
         rows = np.concatenate([np.ones(NAV, bool), np.repeat(~left, 3)])
         self.cov = self.cov[np.ix_(rows, rows)]
         self.track, self.points_world = self.track[~left], self.points_world[~left]

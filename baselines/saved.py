@@ -6,8 +6,8 @@ import numpy as np
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.types import Array
+from vislam.core.frame import Frame
 from vislam.core.run import Run
-from vislam.core.sequence import Frame
 
 _SAME_TIME = 1e-6
 """Stamps that differ by no more are of the same frame [s]."""
@@ -29,14 +29,14 @@ class SavedRun:
         except DataError as error:
             raise ConfigError(f"{at}: {error}") from None
         if not self.run.complete:
-            raise ConfigError(f"{self._name} is incomplete: {self.run.error}")
+            raise ConfigError(f"{self._name} is incomplete: {self.run.log.error}")
 
     def pose(self, frame: Frame) -> Array:
         """Pose ``world_T_imu (4, 4)`` of a frame, as known in the end; ConfigError if there is none."""
         place = np.flatnonzero(self.run.frame == frame.k)
         if not len(place) or abs(self.run.stamp[place[0]] - frame.stamp) > _SAME_TIME:
             raise self.refusal(f"has no pose of frame {frame.k} at {frame.stamp:.3f} s")
-        return self.run.world_T_imu[place[0]]
+        return self.run.final.world_T_imu[place[0]]
 
     def refusal(self, why: str) -> ConfigError:
         """Error to raise where the run does not fit the data."""

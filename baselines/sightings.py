@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 from vislam.models.track_noise import SHARES
@@ -68,5 +68,5 @@ def pixel_variances(frame: Frame, pixel_variance: float | None) -> Array:
     The mean row has half the variance of a coordinate: the same information as the report's four rows.
     """
     if pixel_variance is None:
-        return frame.sigma**2
-    return np.broadcast_to(pixel_variance * SHARES**2, (len(frame.track), 3))
+        return frame.stereo.sigma**2
+    return np.broadcast_to(pixel_variance * SHARES**2, (len(frame.stereo.track), 3))

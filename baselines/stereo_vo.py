@@ -8,10 +8,11 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base import settings
 from vislam.base.fields import STRICT
-from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
+from vislam.base.types import Array, IntArray
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
 from vislam.core.rigid_fit import FEWEST
-from vislam.core.sequence import Frame
+from vislam.core.step import Final, Step
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam_baselines.sightings import SMALLEST_DISPARITY
@@ -45,46 +46,37 @@ class StereoVo:
         self._world_T_imu = np.eye(4)
         self._cov = np.diag(problem.first_pose_sigma**2)
         self._before = (np.empty(0, np.int64), np.empty((0, 3)))
-        self._poses: list[Array] = []
         self._fused: list[tuple[IntArray, IntArray]] = []
         self._inertial_steps = 0
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame."""
-        valid = frame.z[:, 0] - frame.z[:, 1] > SMALLEST_DISPARITY
-        allowed = np.flatnonzero(valid & ~refused)
-        track, z = frame.track[allowed], frame.z[allowed]
+        stereo = frame.stereo
+        valid = stereo.z[:, 0] - stereo.z[:, 1] > SMALLEST_DISPARITY
+        allowed = np.flatnonzero(valid & stereo.usable)
+        track, z = stereo.track[allowed], stereo.z[allowed]
         rows, fit = np.empty(0, np.int64), None
         if frame.k > 0:
             rows, fit = self._step(frame, track, z)
         self._before = (track, z)
-        self._poses.append(self._world_T_imu)
-        used = np.zeros(len(refused), bool)
+        used = np.zeros(len(stereo), bool)
         used[allowed[rows]] = True
-        return StepRecord(
-            world_T_imu=self._world_T_imu,
+        return Step(
+            pose=self._world_T_imu,
             pose_cov=self._cov.copy(),
-            bias=None,
-            bias_sigma=None,
             nis=0.0 if fit is None else fit.chi_square,
             dof=0 if fit is None else fit.dof,
-            log_likelihood=float("nan"),
             used=used,
-            gated=~valid & ~refused,
+            gated=~valid & stereo.usable,
         )
 
-    def finalize(self) -> Estimate:
-        """Return the poses; there is no map. Fused are the observations at both ends of the fitted steps."""
+    def finalize(self) -> Final:
+        """Leave the poses as they were; fused are the observations at both ends of the fitted steps."""
         frames, tracks = zip(*self._fused, strict=True) if self._fused else ((), ())
         nothing = np.empty(0, np.int64)
-        return Estimate(
-            world_T_imu=np.array(self._poses),
-            pose_cov=None,
-            track=nothing,
-            points_world=np.empty((0, 3)),
-            points_cov=None,
-            counts={"inertial_steps": self._inertial_steps},
+        return Final(
             fused=(np.concatenate([nothing, *frames]), np.concatenate([nothing, *tracks])),
+            counts={"inertial_steps": self._inertial_steps},
         )
 
     def _step(self, frame: Frame, track: IntArray, z: Array) -> tuple[IntArray, StepFit | None]:
@@ -114,7 +106,9 @@ class StereoVo:
     def _inertial(self, frame: Frame) -> Prior:
         """Step by the twist less the prior mean of its bias, whose own uncertainty is part of the step's."""
         problem = self._problem
-        step = motion.integrate(frame.twist, bias=problem.bias_mean, dt=frame.dt, noise=problem.noise)
+        step = motion.integrate(
+            frame.odometry.twist, bias=problem.bias_mean, dt=frame.dt, noise=problem.noise
+        )
         by_bias = step.by_bias * problem.bias_sigma
         return Prior(step.prev_T_next, step.cov + by_bias @ by_bias.T)
 

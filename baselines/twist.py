@@ -3,7 +3,7 @@
 from typing import Literal
 
 from vislam.base.types import Array
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 
 Integration = Literal["mean", "first"]
 """``mean``: the mean over the step. ``first``: the value at its start, as in the report's eq. (23)."""
@@ -14,4 +14,8 @@ def step_twist(frame: Frame, integration: Integration) -> Array:
 
     The first one is exact where the samples lie at the frames, as straight lines join them.
     """
-    return frame.twist if integration == "mean" else frame.twist - 0.5 * frame.twist_change
+    return (
+        frame.odometry.twist
+        if integration == "mean"
+        else frame.odometry.twist - 0.5 * frame.odometry.twist_change
+    )

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from experiments.timing import Drive, Part, milliseconds
 from vislam.base.types import Array
-from vislam.core.estimator import Estimate
+from vislam.core.step import Final
 from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engine
 
 RUNS = {
@@ -52,13 +52,13 @@ class Smoothed:
         twists and points. Building the factors is outside, though GTSAM's constructors do it [s].
     final_time : float
         Of the final estimate [s].
-    estimate : Estimate
+    final : Final
     """
 
     step_time: Array
     solver_time: Array
     final_time: float
-    estimate: Estimate
+    final: Final
 
     @property
     def outside(self) -> float:
@@ -80,17 +80,16 @@ def smoothed(
     step_time, solver_time = [], []
     with threadpool_limits(1), _counted() as inside:
         for frame in drive.sequence.frames(drive.sigma):
-            refused = np.zeros(len(frame.track), bool)
             inside.seconds = 0.0
             before = time.thread_time()
-            solver.process(frame, refused)
+            solver.process(frame)
             step_time.append(time.thread_time() - before)
             solver_time.append(inside.seconds)
             on_frame(frame.k)
         before = time.thread_time()
-        estimate = solver.finalize()
+        final = solver.finalize()
         final_time = time.thread_time() - before
-    return Smoothed(np.array(step_time), np.array(solver_time), final_time, estimate)
+    return Smoothed(np.array(step_time), np.array(solver_time), final_time, final)
 
 
 @contextmanager

@@ -41,10 +41,10 @@ MUTATIONS = (
         ("tests/test_gates.py",),
     ),
     Mutation(
-        "what the gate has let pass is refused, not what it has gated",
+        "what the gate has let pass is not usable, not what it has gated",
         "vislam/comparison/running.py",
-        "refused = runs[name].gated",
-        "refused = runs[name].used",
+        "usable = ~runs[name].gated",
+        "usable = ~runs[name].used",
         ("tests/test_gates.py",),
     ),
     Mutation(
@@ -57,15 +57,15 @@ MUTATIONS = (
     Mutation(
         "gate decisions ignored by the filter",
         FILTER,
-        "self._fuse(state, view, frame, rows, ~refused[rows])",
+        "self._fuse(state, view, frame, rows, usable[rows])",
         "self._fuse(state, view, frame, rows, np.ones(len(rows), bool))",
         ("tests/test_testing.py",),
     ),
     Mutation(
         "gate decisions ignored by the smoother",
-        "vislam/estimators/smoother/incremental.py",
-        "solver.tracks.take(frame, refused)",
-        "solver.tracks.take(frame, np.zeros_like(refused))",
+        "vislam/estimators/smoother/tracks.py",
+        "np.flatnonzero(frame.stereo.usable)",
+        "np.arange(len(frame.stereo))",
         ("tests/test_testing.py",),
     ),
     Mutation(

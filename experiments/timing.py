@@ -166,11 +166,10 @@ def timed(drive: Drive, options: EkfOptions) -> Timed:
     times: list[float] = []
     sizes: list[FrameSizes] = []
     for frame in drive.sequence.frames(drive.sigma):
-        refused = np.zeros(len(frame.track), bool)
         track = solver.state.track
-        held, known = len(track), int(np.isin(track, frame.track).sum())
+        held, known = len(track), int(np.isin(track, frame.stereo.track).sum())
         before = time.thread_time()
-        record = solver.process(frame, refused)
+        record = solver.process(frame)
         times.append(time.thread_time() - before)
         fused = record.dof // 3
         assert record.used is not None

@@ -97,7 +97,7 @@ def test_a_built_estimator_runs_like_one_that_is_named():
     built = find("ekf")(make_problem(config, dataset), {})
     one, other = vislam.run(built, dataset, config=config), vislam.run("ekf", config)
     assert one.complete
-    assert np.array_equal(one.world_T_imu, other.world_T_imu)
+    assert np.array_equal(one.final.world_T_imu, other.final.world_T_imu)
     with pytest.raises(ConfigError, match="has no noise"):
         vislam.run("ekf", dataset)
 

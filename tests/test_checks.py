@@ -16,6 +16,7 @@ from vislam.checks.junit import write_junit
 from vislam.checks.saved import Saved
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
+from vislam.core.run import Log
 from vislam.evaluation import Evaluation, Metric
 
 VALUES = {
@@ -71,7 +72,7 @@ def config_of(*checks, **more) -> Config:
 
 def runs(**errors):
     found = {name: errors.get(name, "") for name in ("ekf", "isam2")}
-    return {name: SimpleNamespace(complete=not error, error=error) for name, error in found.items()}
+    return {name: SimpleNamespace(complete=not error, log=Log(error)) for name, error in found.items()}
 
 
 def saved(values=None, *, complete=True) -> Saved:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vislam.comparison.open import Dataset
-from vislam.core.estimator import Estimate, StepRecord
+from vislam.core.step import Final, Step
 from vislam.estimators import loop
 
 
@@ -12,17 +12,13 @@ class Scripted:
     """Stays where it is, fuses what the script says of each frame, and says in the end what it is given."""
 
     def __init__(self, uses, **final):
-        self._uses, self._final, self._frames = uses, final, 0
+        self._uses, self._final = uses, final
 
-    def process(self, frame, refused):
-        self._frames += 1
-        used = self._uses(frame) & ~refused
-        nothing = np.zeros(len(used), bool)
-        return StepRecord(np.eye(4), None, None, None, 0.0, 0, float("nan"), used, nothing)
+    def process(self, frame):
+        return Step(np.eye(4), used=self._uses(frame) & frame.stereo.usable)
 
     def finalize(self):
-        poses = np.tile(np.eye(4), (self._frames, 1, 1))
-        return Estimate(poses, None, np.empty(0, np.int64), np.empty((0, 3)), None, {}, **self._final)
+        return Final(**self._final)
 
 
 def scripted_run(short, uses, **final):
@@ -31,12 +27,12 @@ def scripted_run(short, uses, **final):
 
 
 def everything(frame):
-    return np.ones(len(frame.track), bool)
+    return np.ones(len(frame.stereo), bool)
 
 
 def test_the_frames_have_the_last_word_unless_the_end_has(short: Dataset, rng):
     sequence = short.sequence
-    odd = scripted_run(short, lambda frame: frame.track % 2 == 1)
+    odd = scripted_run(short, lambda frame: frame.stereo.track % 2 == 1)
     assert np.array_equal(odd.used, sequence.track % 2 == 1)
     # In any order, and one of them named twice.
     chosen = rng.permutation(sequence.observations)[: sequence.observations // 3]
@@ -53,9 +49,9 @@ def test_an_observation_that_never_was_makes_a_run_incomplete(short: Dataset, tr
     last = len(short.sequence) - 1
     assert 0 not in short.sequence.track[short.sequence.offset[last] :]
     found = scripted_run(short, everything, fused=(np.array([last]), np.array([track])))
-    assert found.error.endswith("1 of 1 pairs of frame and track are no observations of simulation")
+    assert found.log.error.endswith("1 of 1 pairs of frame and track are no observations of simulation")
 
 
 def test_events_reach_the_run(short: Dataset):
-    assert scripted_run(short, everything).events == ()
-    assert scripted_run(short, everything, events=("frame 3: rescued",)).events == ("frame 3: rescued",)
+    assert scripted_run(short, everything).log.events == ()
+    assert scripted_run(short, everything, events=("frame 3: rescued",)).log.events == ("frame 3: rescued",)

@@ -25,7 +25,7 @@ from vislam.estimators.loop import run
 
 def build_ends(problem, options):
     """Fuses everything on the way, and in the end takes out track 3, as far as it was given that."""
-    return Scripted(lambda frame: everything(frame) & (frame.track != 3))
+    return Scripted(lambda frame: everything(frame) & (frame.stereo.track != 3))
 
 
 def build_whole(problem, options):
@@ -75,15 +75,15 @@ def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config:
         short.sequence,
         sigma,
         name="ekf",
-        refused=planted,
+        usable=~planted,
     )
     assert alone.gated.any()
     assert np.array_equal(outcome.results.runs["whole"].used, alone.used)
     assert np.array_equal(outcome.results.record.frozen.kept, alone.used)
     assert outcome.results.record.frozen.not_fused(outcome.results.runs) == {"whole": 0, "picky": 0, "ekf": 0}
     # Nobody gates on the list; off it, all is as the config says.
-    assert outcome.results.runs["whole"].events == ("gate 1.0",)
-    assert outcome.results.runs["free"].events == (f"gate {short_config.gate_probability}",)
+    assert outcome.results.runs["whole"].log.events == ("gate 1.0",)
+    assert outcome.results.runs["free"].log.events == (f"gate {short_config.gate_probability}",)
     assert not outcome.results.runs["ekf"].gated.any()
 
 
@@ -152,7 +152,7 @@ def test_a_filter_takes_a_gate_of_one_for_none(short: Dataset, short_config: Con
     one = run(open_gate, short.sequence, sigma, name="one")
     other = run(without, short.sequence, sigma, name="other")
     assert not one.gated.any()
-    assert np.array_equal(one.world_T_imu, other.world_T_imu)
+    assert np.array_equal(one.final.world_T_imu, other.final.world_T_imu)
 
 
 NO_LIST = {

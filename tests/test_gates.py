@@ -8,26 +8,27 @@ from vislam.comparison.compare import pixel_sigma
 from vislam.comparison.keeping import NoKeeper
 from vislam.comparison.open import Dataset
 from vislam.comparison.running import Runner
-from vislam.core.estimator import Estimate, StepRecord
+from vislam.core.step import Final, Step
 
 NAMES = ("before", "gating", "after", "last")
 
 
 class Told:
-    """Notes what it is told to refuse, and gates every fifth observation of a frame if it is to."""
+    """Notes what it may not use, and gates every fifth observation of a frame if it is to."""
 
     def __init__(self, *, gates: bool) -> None:
         self.gates = gates
         self.refused: list[np.ndarray] = []
 
-    def process(self, frame, refused):
-        self.refused.append(refused.copy())
-        gated = np.zeros(len(refused), bool)
-        gated[:: 5 if self.gates else len(refused) + 1] = self.gates
-        return StepRecord(np.eye(4), used=~gated & ~refused, gated=gated)
+    def process(self, frame):
+        usable = frame.stereo.usable
+        self.refused.append(~usable)
+        gated = np.zeros(len(usable), bool)
+        gated[:: 5 if self.gates else len(usable) + 1] = self.gates
+        return Step(np.eye(4), used=~gated & usable, gated=gated)
 
     def finalize(self):
-        return Estimate()
+        return Final()
 
 
 def run_all(short: Dataset, short_config, gates_from):

@@ -20,6 +20,6 @@ def test_a_section_may_name_its_estimator(short: Dataset, short_config: Config):
         for name, member in members(config).items()
     }
     assert list(runs) == ["ekf", "plain", "ungated"]
-    assert np.array_equal(runs["ekf"].world_T_imu, runs["plain"].world_T_imu)
+    assert np.array_equal(runs["ekf"].final.world_T_imu, runs["plain"].final.world_T_imu)
     assert runs["ekf"].gated.any()
     assert not runs["ungated"].gated.any()

@@ -17,14 +17,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.records import altered, on_frames
 from vislam import compare, evaluate
 from vislam.base.errors import DataError
 from vislam.base.npy import PackedArray
 from vislam.core import archive, record, run
 from vislam.core.archive import read_archive
 from vislam.core.record import Record
-from vislam.core.run import Run
-from vislam.core.schema import Numbers, Plain, real, whole
+from vislam.core.run import Run, StateHistory
+from vislam.core.schema import Each, Numbers, Plain, Section, real, whole
+from vislam.core.step import TWIST_BIAS
 
 CONFIG = """\
 name: small
@@ -398,9 +400,8 @@ def test_files_in_each_others_place(one, other, copy, capsys):
 
 def changed_run(folder, of="ekf", **changes):
     """Write a run with other values, as if it had been saved so."""
-    found = Run.load(folder / "runs" / f"{of}.npz")
-    values = {item.name: getattr(found, item.name) for item in fields(found)} | changes
-    Run(**values).save(folder / "runs" / f"{of}.npz")
+    path = folder / "runs" / f"{of}.npz"
+    altered(Run.load(path), **changes).save(path)
 
 
 FOREIGN = {
@@ -425,13 +426,8 @@ def test_a_sound_run_of_something_else_is_refused(case, copy, capsys):
 
 def test_a_complete_run_has_all_frames(copy, capsys):
     folder = copy()
-    found = Run.load(folder / "runs" / "ekf.npz")
-    rows = {
-        item.name: getattr(found, item.name)[:7]
-        for item in fields(found)
-        if isinstance(run._TABLE[item.name], Numbers) and run._TABLE[item.name].shape.startswith("T")
-    }
-    changed_run(folder, **rows)
+    path = folder / "runs" / "ekf.npz"
+    on_frames(Run.load(path), slice(7)).save(path)
     assert "a complete run with 7 of 12 frames" in score(folder, capsys)
     changed_run(folder, error="frame 7: lost")
     assert score(folder, capsys) == ""
@@ -500,9 +496,13 @@ def test_two_members_of_one_name_are_refused(copy, capsys):
 @pytest.mark.parametrize("name", ARCHIVES)
 def test_each_field_is_asked_for_and_no_other_is_taken(name, made, copy, capsys):
     there = {member.removesuffix(".npy") for member, _ in members(made / name)}
-    fields_of = {field for field, kind in TABLES[name].items() if isinstance(kind, Numbers)}
+    table = dict(archive._expanded(TABLES[name], {"states": {TWIST_BIAS: {}}}))
+    fields_of = {field for field, kind in table.items() if isinstance(kind, Numbers)}
     assert there - {"plain"} <= fields_of
-    assert all(TABLES[name][field].optional for field in fields_of - there)
+    assert all(
+        table[field].optional or table.get(field.rpartition(".")[0], Plain(int)) == Section(optional=True)
+        for field in fields_of - there
+    )
     for field in sorted(there - {"plain"}):
         folder = copy()
         edit_array(folder / name, field, lambda a: None)
@@ -513,7 +513,11 @@ def test_each_field_is_asked_for_and_no_other_is_taken(name, made, copy, capsys)
 
 
 def test_the_tables_have_the_fields_of_their_classes():
-    assert {item.name for item in fields(Run)} == set(run._TABLE)
+    assert {item.name for item in fields(Run)} == {name.partition(".")[0] for name in run._TABLE}
+    for part, kind in run._PARTS.items():
+        own = {name.partition(".")[2] for name in run._TABLE if name.startswith(f"{part}.")}
+        assert {item.name for item in fields(kind)} == own
+    assert {item.name for item in fields(StateHistory)} == set(run._TABLE["states"].fields)
     assert {item.name for item in fields(Record)} == {name.partition(".")[0] for name in record._TABLE}
 
 
@@ -541,6 +545,52 @@ def test_what_a_table_says_is_what_comes_out(tmp_path):
     edit_array(path, "b", lambda b: b[:2])
     with pytest.raises(DataError, match=r"of shape \(n\) with n = 3 as in 'a', of shape \(2,\)"):
         read_archive(path, table, what="it")
+
+
+def archive_of(path, arrays, plain):
+    pack(path, [(f"{k}.npy", npy(v)) for k, v in {**arrays, "plain": np.array(json.dumps(plain))}.items()])
+
+
+def test_sections_are_named_by_who_writes_them_and_each_has_a_size_of_its_own(tmp_path):
+    table = {"t": real("T"), "s": Each({"a": real("T *"), "b": real("T *", gaps=True)})}
+    path = tmp_path / "x.npz"
+    arrays = {"t": np.zeros(3)}
+    for name, size in {"one": 1, "T": 2}.items():
+        arrays |= {f"s.{name}.a": np.full((3, size), float(size)), f"s.{name}.b": np.full((3, size), np.nan)}
+    sound = {"s": {"one": {}, "T": {}}}
+    archive_of(path, arrays, sound)
+    found = read_archive(path, table, what="it")
+    assert {name: part["a"].shape for name, part in found["s"].items()} == {"one": (3, 1), "T": (3, 2)}
+    archive_of(path, {"t": np.zeros(3)}, {"s": {}})
+    assert read_archive(path, table, what="it")["s"] == {}
+    wrong = {
+        "got no 's'": ({"t": np.zeros(3)}, {}),
+        "an unknown field 's.one.a'": (arrays, {"s": {}}),
+        "no 's.two.a'": (arrays, {"s": {"one": {}, "T": {}, "two": {}}}),
+        "'s' with the name 'o.ne'": (arrays, {"s": {"o.ne": {}}}),
+        "'s' with the name ''": (arrays, {"s": {"": {}}}),
+        "'s', which must be a mapping, as list": ({"t": np.zeros(3)}, {"s": []}),
+        "'s', which must be a mapping, as null": ({"t": np.zeros(3)}, {"s": None}),
+        "'s.one', which must be a mapping, as int": (arrays, {"s": {"one": 3, "T": {}}}),
+        "an unknown field 's.one.c'": (arrays, {"s": {"one": {"c": 1}, "T": {}}}),
+        "'s.one.b', which must be of shape": (
+            arrays | {"s.one.b": np.zeros((3, 2))},
+            {"s": {"one": {}, "T": {}}},
+        ),
+    }
+    for message, (given_arrays, plain) in wrong.items():
+        archive_of(path, given_arrays, plain)
+        with pytest.raises(DataError) as refused_one:
+            read_archive(path, table, what="it")
+        assert message in str(refused_one.value)
+
+
+def test_a_run_of_the_earlier_form_is_refused_in_one_line(copy, capsys):
+    folder = copy()
+    edit_plain(folder / "runs/ekf.npz", lambda text: json.dumps({"error": "", **json.loads(text)}))
+    said = score(folder, capsys)
+    assert "expected a run as this version of vislam saves it, got an unknown field 'error'" in said
+    assert "run the comparison again" in said
 
 
 # The real command ------------------------------------------------------------------------------------------

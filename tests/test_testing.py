@@ -10,7 +10,8 @@ import pytest
 
 from vislam.base.errors import ConfigError, ContractError
 from vislam.cli.main import main
-from vislam.core.estimator import Estimate, StepRecord, find
+from vislam.core.estimator import find
+from vislam.core.step import Final, Step
 from vislam.testing import check_estimator
 
 ROOT = Path(__file__).parents[1]
@@ -80,11 +81,11 @@ class Sound:
     def __init__(self, problem):
         self.pose = np.eye(4)
 
-    def process(self, frame, refused):
-        return StepRecord(self.pose, used=~refused)
+    def process(self, frame):
+        return Step(self.pose, used=frame.stereo.usable)
 
     def finalize(self):
-        return Estimate()
+        return Final()
 
 
 def test_one_without_options_refuses_them():
@@ -94,34 +95,34 @@ def test_one_without_options_refuses_them():
 
 
 class Random(Sound):
-    def process(self, frame, refused):
+    def process(self, frame):
         pose = np.eye(4)
         pose[0, 3] = np.random.default_rng().normal()
-        return StepRecord(pose)
+        return Step(pose)
 
 
 class Stubborn(Sound):
-    def process(self, frame, refused):
-        return StepRecord(self.pose, used=np.ones(len(refused), bool))
+    def process(self, frame):
+        return Step(self.pose, used=np.ones(len(frame.stereo), bool))
 
 
 class Misshapen(Sound):
-    def process(self, frame, refused):
-        return StepRecord(self.pose, used=np.ones(len(refused) + (frame.k == 3), bool))
+    def process(self, frame):
+        return Step(self.pose, used=np.ones(len(frame.stereo) + (frame.k == 3), bool))
 
 
 class Skew(Sound):
-    def process(self, frame, refused):
+    def process(self, frame):
         cov = np.eye(6)
         cov[0, 1] = 0.5
-        return StepRecord(self.pose, pose_cov=cov)
+        return Step(self.pose, pose_cov=cov)
 
 
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
         (Random, "frame 0: two runs over the same drive differ"),
-        (Stubborn, r"fused \d+ observations that it was told to refuse"),
+        (Stubborn, r"fused \d+ observations that are not usable"),
         (Misshapen, r"frame 3: used must be \(\d+,\), got \(\d+,\)"),
         (Skew, "frame 0: pose_cov must be symmetric"),
     ],

@@ -13,25 +13,33 @@ _PUBLIC = {
     "Outcome": "vislam.api",
     "load_config": "vislam.api",
     "Config": "vislam.comparison.config",
-    "Estimate": "vislam.core.estimator",
     "Estimator": "vislam.core.estimator",
     "Problem": "vislam.core.estimator",
+    "Frame": "vislam.core.frame",
     "Run": "vislam.core.run",
     "Sequence": "vislam.core.sequence",
-    "StepRecord": "vislam.core.estimator",
+    "Final": "vislam.core.step",
+    "State": "vislam.core.step",
+    "Step": "vislam.core.step",
+    "Landmarks": "vislam.core.trajectory",
+    "Poses": "vislam.core.trajectory",
 }
-_MODULES = ("compare", "evaluate", "inspect", "datasets", "geometry")
+_MODULES = ("compare", "evaluate", "inspect", "datasets", "geometry", "testing")
 """The first three are commands that can be called as well, the same object whatever is imported first."""
 
 __all__ = [
     "Config",
-    "Estimate",
     "Estimator",
+    "Final",
+    "Frame",
+    "Landmarks",
     "Outcome",
+    "Poses",
     "Problem",
     "Run",
     "Sequence",
-    "StepRecord",
+    "State",
+    "Step",
     "compare",
     "datasets",
     "evaluate",
@@ -39,6 +47,7 @@ __all__ = [
     "inspect",
     "load_config",
     "run",
+    "testing",
 ]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vislam.base.errors import ContractError
-from vislam.base.types import BoolArray
+from vislam.base.types import Array, BoolArray
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config, DataConfig, NoiseConfig
 from vislam.comparison.open import Dataset, open_dataset
@@ -28,7 +28,7 @@ def check_estimator(
 
     * two runs say the same;
     * it is causal: what it says at a frame does not change when later frames are left away;
-    * it does not fuse what it is told to refuse.
+    * it does not fuse what is not usable.
 
     Parameters
     ----------
@@ -72,11 +72,11 @@ def check_estimator(
     shortened = replace(dataset, sequence=dataset.sequence.first(half))
     shorter = _run(build, options, config, shortened)
     _refuse_other("later frames change what it says at a frame", whole, shorter, frames=half)
-    refused = np.zeros(dataset.sequence.observations, bool)
-    refused[::3] = True
-    count = int(np.count_nonzero(_run(build, options, config, dataset, refused=refused).used & refused))
+    usable = np.ones(dataset.sequence.observations, bool)
+    usable[::3] = False
+    count = int(np.count_nonzero(_run(build, options, config, dataset, usable=usable).used & ~usable))
     if count:
-        raise ContractError(f"fused {count} observations that it was told to refuse")
+        raise ContractError(f"fused {count} observations that are not usable (frame.stereo.usable)")
     return whole
 
 
@@ -86,22 +86,35 @@ def _run(
     config: Config,
     dataset: Dataset,
     *,
-    refused: BoolArray | None = None,
+    usable: BoolArray | None = None,
 ) -> Run:
     builder = find(build) if isinstance(build, str) else build
     estimator = builder(make_problem(config, dataset), dict(options or {}))
     sigma = pixel_sigma(config, dataset)
-    found = run(estimator, dataset.sequence, sigma, name="checked", refused=refused)
+    found = run(estimator, dataset.sequence, sigma, name="checked", usable=usable)
     if not found.complete:
-        raise ContractError(found.error)
+        raise ContractError(found.log.error)
     return found
 
 
 def _refuse_other(what: str, one: Run, other: Run, *, frames: int) -> None:
-    for name in ("world_T_imu_causal", "pose_cov_causal", "nis"):
-        first, second = getattr(one, name)[:frames], getattr(other, name)[:frames]
-        same = (
-            np.isclose(first, second, rtol=_SAME, atol=_SAME, equal_nan=True).reshape(frames, -1).all(axis=1)
-        )
+    theirs = _reported(other)
+    for name, mine in _reported(one).items():
+        same = _same(mine[:frames], theirs.get(name, np.full_like(mine, np.nan))[:frames])
         if not same.all():
-            raise ContractError(f"frame {int(np.argmin(same))}: {what} ({name.removesuffix('_causal')})")
+            raise ContractError(f"frame {int(np.argmin(same))}: {what} ({name})")
+
+
+def _same(first: Array, second: Array) -> BoolArray:
+    """At which frames ``(T,)`` two reports ``(T, ...)`` are the same, but for rounding."""
+    if first.shape != second.shape:
+        return np.zeros(len(first), bool)
+    close = np.isclose(first, second, rtol=_SAME, atol=_SAME, equal_nan=True)
+    return np.asarray(close.reshape(len(first), -1).all(axis=1))
+
+
+def _reported(run: Run) -> dict[str, Array]:
+    """What a run reported at each frame, by name."""
+    states = {f"states.{name}": state.value for name, state in run.states.items()}
+    poses = {"pose": run.filtered.world_T_imu, "pose_cov": run.filtered.covariances}
+    return {**poses, "nis": run.innovations.nis, **states}

@@ -2,22 +2,21 @@
 
 import numpy as np
 
-from vislam.core.estimator import Estimate, StepRecord
+from vislam.core.step import Final, Step
+from vislam.core.trajectory import Landmarks
 from vislam.estimators import loop
 from vislam.geometry import se3
 
 
 class _Given:
-    def __init__(self, poses, track, points, points_cov):
-        self._poses, self._map = poses, (track, points, points_cov)
+    def __init__(self, poses, landmarks):
+        self._poses, self._map = poses, landmarks
 
-    def process(self, frame, refused):
-        nothing = np.zeros(len(refused), bool)
-        pose = self._poses[frame.k]
-        return StepRecord(pose, None, None, None, 0.0, 0, float("nan"), nothing, nothing)
+    def process(self, frame):
+        return Step(self._poses[frame.k])
 
     def finalize(self):
-        return Estimate(self._poses, None, *self._map, {})
+        return Final(map=self._map)
 
 
 def true_poses(dataset):
@@ -37,9 +36,9 @@ def save_run(path, dataset, *, poses=None, track=None, points=None, points_cov=N
     own_track, own_points = true_map(dataset)
     given = _Given(
         true_poses(dataset) if poses is None else poses,
-        own_track if track is None else track,
-        own_points if points is None else points,
-        points_cov,
+        Landmarks(
+            own_track if track is None else track, own_points if points is None else points, points_cov
+        ),
     )
     sigma = np.ones((dataset.sequence.observations, 3))
     loop.run(given, dataset.sequence, sigma, name="given").save(path)

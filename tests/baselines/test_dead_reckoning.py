@@ -34,9 +34,9 @@ def test_the_report_s_integration_is_a_product_of_exponentials(short: Dataset, s
     pose = np.eye(4)
     for k in range(len(sequence) - 1):
         pose = pose @ se3.exp((sequence.stamp[k + 1] - sequence.stamp[k]) * sequence.twist[k])
-    first = reckon(short, short_config, integration="first").world_T_imu[-1]
+    first = reckon(short, short_config, integration="first").final.world_T_imu[-1]
     assert first == pytest.approx(pose, abs=1e-10)
-    assert np.abs(reckon(short, short_config).world_T_imu[-1] - pose).max() > 1e-3
+    assert np.abs(reckon(short, short_config).final.world_T_imu[-1] - pose).max() > 1e-3
 
 
 def test_a_given_variance_is_added_by_the_step(short: Dataset, short_config: Config):
@@ -44,9 +44,9 @@ def test_a_given_variance_is_added_by_the_step(short: Dataset, short_config: Con
     run = reckon(short, short_config, motion_variance=tuple(variance))
     cov = np.diag(np.square(short_config.noise.first_pose_sigma))
     for k in range(1, len(short.sequence)):
-        carry = se3.adjoint(se3.inverse(run.world_T_imu[k]) @ run.world_T_imu[k - 1])
+        carry = se3.adjoint(se3.inverse(run.final.world_T_imu[k]) @ run.final.world_T_imu[k - 1])
         cov = carry @ cov @ carry.T + np.diag(variance)
-        assert run.pose_cov[k] == pytest.approx(cov, rel=1e-9)
+        assert run.final.covariances[k] == pytest.approx(cov, rel=1e-9)
 
 
 def test_a_variance_below_zero_is_refused(short: Dataset, short_config: Config):

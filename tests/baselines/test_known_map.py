@@ -9,6 +9,7 @@ from tests.baselines.given import save_run, true_map, true_poses
 from tests.smoother.drives import drive, exact, gap
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.core.step import TWIST_BIAS
 from vislam.estimators import loop
 from vislam.geometry import se3
 from vislam_baselines import dead_reckoning, known_map
@@ -16,10 +17,10 @@ from vislam_baselines import dead_reckoning, known_map
 BIAS = np.array([0.01, -0.008, 0.012, 0.05, -0.03, 0.04])
 
 
-def localised(config, dataset, *, refused=None, **options):
+def localised(config, dataset, *, usable=None, **options):
     built = known_map.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return loop.run(built, dataset.sequence, sigma, name="known_map", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="known_map", usable=usable)
 
 
 def biased(dataset):
@@ -42,11 +43,11 @@ def true(clean, tmp_path):
 def test_with_the_true_map_and_exact_data_it_stays_on_the_true_path(clean, true):
     config, dataset = clean
     run = localised(config, dataset, map=true)
-    angle, distance = gap(run.world_T_imu, true_poses(dataset))
+    angle, distance = gap(run.final.world_T_imu, true_poses(dataset))
     assert angle < 1e-9
     assert distance < 1e-7
     assert run.used.all()
-    assert run.nis.max() < 1e-9
+    assert run.innovations.nis.max() < 1e-9
 
 
 def test_the_map_holds_the_pose_where_the_twist_is_wrong(clean, true):
@@ -54,33 +55,34 @@ def test_the_map_holds_the_pose_where_the_twist_is_wrong(clean, true):
     reckoned = dead_reckoning.build(make_problem(config, dataset), {})
     sigma = pixel_sigma(config, dataset)
     drifted = loop.run(reckoned, dataset.sequence, sigma, name="dead_reckoning")
-    lost = gap(drifted.world_T_imu, true_poses(dataset))
-    held = gap(localised(config, dataset, map=true, gate=False).world_T_imu, true_poses(dataset))
+    lost = gap(drifted.final.world_T_imu, true_poses(dataset))
+    held = gap(localised(config, dataset, map=true, gate=False).final.world_T_imu, true_poses(dataset))
     assert held[0] < 0.1 * lost[0]
     assert held[1] < 0.1 * lost[1]
 
 
 def test_the_derivative_of_the_report_loses_the_pose(clean, true, monkeypatch):
     config, dataset = clean[0], biased(clean[1])
-    right = gap(localised(config, dataset, map=true, gate=False).world_T_imu, true_poses(dataset))
+    right = gap(localised(config, dataset, map=true, gate=False).final.world_T_imu, true_poses(dataset))
 
     def look_as_printed(rig, pose, points, *, look=known_map.look):
         seen = look(rig, pose, points)
         return replace(seen, by_pose=-seen.by_pose)
 
     monkeypatch.setattr(known_map, "look", look_as_printed)
-    printed = gap(localised(config, dataset, map=true, gate=False).world_T_imu, true_poses(dataset))
+    printed = gap(localised(config, dataset, map=true, gate=False).final.world_T_imu, true_poses(dataset))
     assert printed[1] > 10.0 * right[1]
 
 
 def test_a_bias_is_found_if_it_is_looked_for(clean, true):
     config, dataset = clean[0], biased(clean[1])
     run = localised(config, dataset, map=true, bias=True, pixel_variance=0.01)
-    assert np.abs(run.bias[-1] - BIAS).max() < 0.2 * np.abs(BIAS).min()
-    assert np.abs(run.bias[-1] - BIAS).max() < 4.0 * run.bias_sigma[-1].max()
+    bias = run.states[TWIST_BIAS]
+    assert np.abs(bias.value[-1] - BIAS).max() < 0.2 * np.abs(BIAS).min()
+    assert np.abs(bias.value[-1] - BIAS).max() < 4.0 * bias.sigma[-1].max()
     fixed = localised(config, dataset, map=true)
-    assert not fixed.bias.any()
-    assert np.isnan(fixed.bias_sigma).all()
+    assert not fixed.states[TWIST_BIAS].value.any()
+    assert np.isnan(fixed.states[TWIST_BIAS].sigma).all()
 
 
 def test_one_update_is_the_textbook_s(true, clean, rng):
@@ -89,9 +91,9 @@ def test_one_update_is_the_textbook_s(true, clean, rng):
     problem, sequence = make_problem(config, dataset), dataset.sequence
     rows = slice(0, sequence.offset[1])
     frame = next(sequence.frames(pixel_sigma(config, dataset)))
-    z = frame.z + rng.normal(size=frame.z.shape)
+    z = frame.stereo.z + rng.normal(size=frame.stereo.z.shape)
     built = known_map.build(problem, {"map": true, "gate": False})
-    record = built.process(replace(frame, z=z), np.zeros(len(z), bool))
+    step = built.process(replace(frame, stereo=replace(frame.stereo, z=z)))
     track, points = true_map(dataset)
     points = points[np.searchsorted(track, sequence.track[rows])]
 
@@ -104,11 +106,11 @@ def test_one_update_is_the_textbook_s(true, clean, rng):
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
     innovation = z.ravel() - predict(np.zeros(6))
-    assert record.world_T_imu == pytest.approx(se3.exp(K @ innovation), abs=1e-9)
-    assert record.pose_cov == pytest.approx((np.eye(6) - K @ H) @ P, abs=1e-14)
-    assert record.nis == pytest.approx(innovation @ np.linalg.solve(S, innovation), rel=1e-9)
-    log_density = -0.5 * (record.nis + np.linalg.slogdet(2.0 * np.pi * S)[1])
-    assert record.log_likelihood == pytest.approx(log_density, rel=1e-9)
+    assert step.pose == pytest.approx(se3.exp(K @ innovation), abs=1e-9)
+    assert step.pose_cov == pytest.approx((np.eye(6) - K @ H) @ P, abs=1e-14)
+    assert step.nis == pytest.approx(innovation @ np.linalg.solve(S, innovation), rel=1e-9)
+    log_density = -0.5 * (step.nis + np.linalg.slogdet(2.0 * np.pi * S)[1])
+    assert step.log_likelihood == pytest.approx(log_density, rel=1e-9)
 
 
 def test_a_map_that_is_unsure_of_itself_counts_for_less(clean, tmp_path):
@@ -117,8 +119,8 @@ def test_a_map_that_is_unsure_of_itself_counts_for_less(clean, tmp_path):
     unsure = save_run(tmp_path / "unsure.npz", dataset, points_cov=np.tile(np.eye(3), (len(track), 1, 1)))
     with_it = localised(config, dataset, map=unsure)
     without = localised(config, dataset, map=unsure, map_uncertainty=False)
-    assert np.all(with_it.pose_cov[-1].diagonal() > without.pose_cov[-1].diagonal())
-    assert np.allclose(with_it.world_T_imu, without.world_T_imu, atol=1e-6)
+    assert np.all(with_it.final.covariances[-1].diagonal() > without.final.covariances[-1].diagonal())
+    assert np.allclose(with_it.final.world_T_imu, without.final.world_T_imu, atol=1e-6)
 
 
 def test_what_the_map_lacks_is_not_used_and_what_does_not_fit_is_gated(clean, tmp_path):
@@ -139,7 +141,7 @@ def test_what_the_map_lacks_is_not_used_and_what_does_not_fit_is_gated(clean, tm
 def test_what_others_refuse_is_not_used(tmp_path):
     config, dataset = drive(seed=8)
     refused = dataset.sequence.track % 2 == 0
-    run = localised(config, dataset, map=save_run(tmp_path / "true.npz", dataset), refused=refused)
+    run = localised(config, dataset, map=save_run(tmp_path / "true.npz", dataset), usable=~refused)
     assert not (run.used | run.gated)[refused].any()
     assert run.used[~refused].mean() > 0.9
 
@@ -157,5 +159,5 @@ def test_a_map_of_other_tracks_is_refused(clean, tmp_path, shift, says):
     config, dataset = clean
     track, _ = true_map(dataset)
     run = localised(config, dataset, map=save_run(tmp_path / "other.npz", dataset, track=track + shift))
-    assert says in run.error
-    assert "name a run of the same data with the same repairs" in run.error
+    assert says in run.log.error
+    assert "name a run of the same data with the same repairs" in run.log.error

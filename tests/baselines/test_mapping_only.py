@@ -1,11 +1,10 @@
 """Landmarks from given poses: the textbook's joint filter, and least squares."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.baselines.given import save_run, true_map, true_poses
+from tests.records import altered
 from tests.smoother.drives import drive, exact
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
@@ -17,10 +16,10 @@ from vislam.models.triangulation import triangulate
 from vislam_baselines import dead_reckoning, mapping_only
 
 
-def mapped(config, dataset, *, refused=None, **options):
+def mapped(config, dataset, *, usable=None, **options):
     built = mapping_only.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return loop.run(built, dataset.sequence, sigma, name="mapping_only", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="mapping_only", usable=usable)
 
 
 def project(calibration, cam_T_world, point):
@@ -109,9 +108,9 @@ def test_it_is_the_joint_filter_of_the_report(tmp_path):
         rows = rows[np.isin(sequence.track[rows], chosen)]
         dense.process(poses[k], sequence.track[rows].tolist(), sequence.pixels[rows])
     for track, at in dense.place.items():
-        (own,) = np.flatnonzero(run.track == track)
-        assert run.points_world[own] == pytest.approx(dense.mean[at : at + 3], abs=1e-9)
-        assert run.points_cov[own] == pytest.approx(dense.cov[at : at + 3, at : at + 3], abs=1e-9)
+        (own,) = np.flatnonzero(run.landmarks.track == track)
+        assert run.landmarks.points_world[own] == pytest.approx(dense.mean[at : at + 3], abs=1e-9)
+        assert run.landmarks.points_cov[own] == pytest.approx(dense.cov[at : at + 3, at : at + 3], abs=1e-9)
 
 
 def test_with_little_noise_it_is_weighted_least_squares(tmp_path):
@@ -133,20 +132,22 @@ def test_with_little_noise_it_is_weighted_least_squares(tmp_path):
         point = se3.transform(world_T_cam[0], sequence.rig.back_project(best.mean))[0]
         by_z = world_T_cam[0, :3, :3] @ sequence.rig.back_projection_jacobian(best.mean)[0]
         cov = by_z @ best.cov[0] @ by_z.T
-        (own,) = np.flatnonzero(run.track == track)
-        off = run.points_world[own] - point
+        (own,) = np.flatnonzero(run.landmarks.track == track)
+        off = run.landmarks.points_world[own] - point
         assert np.sqrt(off @ np.linalg.solve(cov, off)) < 0.05
-        assert run.points_cov[own] == pytest.approx(cov, abs=0.01 * np.abs(cov).max())
+        assert run.landmarks.points_cov[own] == pytest.approx(cov, abs=0.01 * np.abs(cov).max())
 
 
 def test_from_true_poses_and_exact_pixels_comes_the_true_map(tmp_path):
     config, dataset = exact(seed=4)
     run = mapped(config, dataset, poses=save_run(tmp_path / "true.npz", dataset), every=1)
     track, points = true_map(dataset)
-    assert np.array_equal(run.track, np.unique(dataset.sequence.track))
-    assert run.points_world == pytest.approx(points[np.searchsorted(track, run.track)], abs=1e-6)
-    assert np.array_equal(run.world_T_imu, true_poses(dataset))
-    assert np.isnan(run.pose_cov).all()
+    assert np.array_equal(run.landmarks.track, np.unique(dataset.sequence.track))
+    assert run.landmarks.points_world == pytest.approx(
+        points[np.searchsorted(track, run.landmarks.track)], abs=1e-6
+    )
+    assert np.array_equal(run.final.world_T_imu, true_poses(dataset))
+    assert np.isnan(run.final.covariances).all()
     assert run.used.all()
 
 
@@ -158,26 +159,26 @@ def test_by_default_the_poses_are_those_of_dead_reckoning_and_one_track_in_twent
     reckoned = dead_reckoning.build(problem, {"integration": "first"})
     sigma = pixel_sigma(short_config, short)
     alone = loop.run(reckoned, short.sequence, sigma, name="dead_reckoning")
-    assert np.array_equal(run.world_T_imu, alone.world_T_imu)
-    assert np.array_equal(run.pose_cov, alone.pose_cov)
+    assert np.array_equal(run.final.world_T_imu, alone.final.world_T_imu)
+    assert np.array_equal(run.final.covariances, alone.final.covariances)
     assert np.array_equal(run.used | run.gated, short.sequence.track % 20 == 0)
-    assert np.array_equal(run.track, np.unique(short.sequence.track[run.used]))
+    assert np.array_equal(run.landmarks.track, np.unique(short.sequence.track[run.used]))
 
 
 def test_a_landmark_outlives_observations_that_are_refused(short, short_config):
     refused = short.sequence.frame_of % 2 == 1
-    run = mapped(short_config, short, every=1, refused=refused)
+    run = mapped(short_config, short, every=1, usable=~refused)
     assert not run.used[refused].any()
-    assert len(np.unique(run.track)) == len(run.track)
+    assert len(np.unique(run.landmarks.track)) == len(run.landmarks.track)
     # All but the first sighting of each is an update.
-    assert run.dof.sum() == 3 * (np.count_nonzero(run.used) - len(run.track))
+    assert run.innovations.dof.sum() == 3 * (np.count_nonzero(run.used) - len(run.landmarks.track))
 
 
 def test_poses_of_another_drive_are_refused(tmp_path, short, short_config):
     _, other = drive(seed=1, frames=40, period=0.2)
     run = mapped(short_config, short, poses=save_run(tmp_path / "other.npz", other))
-    assert "estimators.mapping_only.poses" in run.error
-    assert "has no pose of frame 1 at 0.105 s" in run.error
+    assert "estimators.mapping_only.poses" in run.log.error
+    assert "has no pose of frame 1 at 0.105 s" in run.log.error
 
 
 def test_what_holds_no_complete_run_is_refused_before_anything_runs(tmp_path, short, short_config):
@@ -186,6 +187,6 @@ def test_what_holds_no_complete_run_is_refused_before_anything_runs(tmp_path, sh
         mapping_only.build(problem, {"poses": "nowhere.npz"})
     path = tmp_path / "lost.npz"
     save_run(path, short)
-    replace(Run.load(path), error="frame 3: lost").save(path)
+    altered(Run.load(path), error="frame 3: lost").save(path)
     with pytest.raises(ConfigError, match=r"lost\.npz is incomplete: frame 3: lost"):
         mapping_only.build(problem, {"poses": str(path)})

@@ -48,10 +48,10 @@ def ours(config, dataset) -> Run:
 def same(one: Run, other: Run, *, within: float) -> None:
     assert one.complete
     assert other.complete
-    assert np.allclose(one.world_T_imu, other.world_T_imu, atol=within)
+    assert np.allclose(one.final.world_T_imu, other.final.world_T_imu, atol=within)
     assert np.array_equal(one.used, other.used)
     assert np.array_equal(one.gated, other.gated)
-    assert np.allclose(one.pose_cov, other.pose_cov, rtol=1e-5, atol=1e-12)
+    assert np.allclose(one.final.covariances, other.final.covariances, rtol=1e-5, atol=1e-12)
     assert one.nis_per_dof == pytest.approx(other.nis_per_dof, rel=1e-6)
 
 
@@ -116,7 +116,7 @@ def test_without_the_sign_every_correction_of_the_pose_is_turned_round(jacobian:
     truth = from_first(dataset.reference.pose)[:, :3, 3]
     corrected = filtered(config, dataset, **options)
     left = filtered(config, dataset, **options, pose_gain=0.0)
-    errors = [np.linalg.norm(one.world_T_imu[-1, :3, 3] - truth[-1]) for one in (corrected, left)]
+    errors = [np.linalg.norm(one.final.world_T_imu[-1, :3, 3] - truth[-1]) for one in (corrected, left)]
     assert (errors[0] < 0.5 * errors[1]) == better
     assert (errors[0] > 1.2 * errors[1]) != better
 
@@ -128,22 +128,22 @@ def test_with_no_gain_it_is_dead_reckoning_by_first_samples():
     pose = np.eye(4)
     for k, dt in enumerate(np.diff(sequence.stamp)):
         pose = pose @ se3.exp(dt * sequence.twist[k])
-    assert np.allclose(found.world_T_imu[-1], pose, atol=1e-9)
+    assert np.allclose(found.final.world_T_imu[-1], pose, atol=1e-9)
 
 
 @pytest.mark.slow
 def test_landmarks_that_leave_change_no_pose():
     config, dataset = drive(seed=4, frames=40)
     both = [filtered(config, dataset, **{**MENDED, "finished": form}) for form in ("kept", "dropped")]
-    assert np.allclose(both[0].world_T_imu, both[1].world_T_imu, atol=1e-9)
-    assert np.array_equal(both[0].track, both[1].track)
+    assert np.allclose(both[0].final.world_T_imu, both[1].final.world_T_imu, atol=1e-9)
+    assert np.array_equal(both[0].landmarks.track, both[1].landmarks.track)
 
 
 def test_thinning_uses_one_track_in_so_many():
     config, dataset = drive(seed=4, frames=20)
     found = filtered(config, dataset, every=5)
-    assert len(found.track)
-    assert not (found.track % 5).any()
+    assert len(found.landmarks.track)
+    assert not (found.landmarks.track % 5).any()
     assert not (dataset.sequence.track[found.used] % 5).any()
 
 
@@ -152,11 +152,11 @@ def test_a_filter_that_is_no_longer_finite_stops_with_its_reason():
     estimator = build(make_problem(config, dataset), {})
     frames = dataset.sequence.frames(pixel_sigma(config, dataset))
     first = next(frames)
-    estimator.process(first, np.zeros(len(first.track), bool))
+    estimator.process(first)
     estimator.cov[0, 0] = np.nan
     second = next(frames)
     with pytest.raises(ArithmeticError, match="no longer finite"):
-        estimator.process(second, np.zeros(len(second.track), bool))
+        estimator.process(second)
 
 
 def test_a_covariance_that_is_none_any_more_is_not_claimed_and_the_run_goes_on():
@@ -171,12 +171,12 @@ def test_a_covariance_that_is_none_any_more_is_not_claimed_and_the_run_goes_on()
     options = ReportEkfOptions(**MENDED)
     spoilt = Spoilt(make_problem(config, dataset), options)
     found = run(spoilt, dataset.sequence, pixel_sigma(config, dataset), name="report_ekf")
-    assert found.complete, found.error
-    assert np.isfinite(found.pose_cov[:7]).all()
-    assert np.isnan(found.pose_cov[7]).all()
-    assert found.nis[7] == found.dof[7] == 0
-    assert "no longer positive semi-definite" in found.events[0]
-    assert "the first is 7" in found.events[0]
+    assert found.complete, found.log.error
+    assert np.isfinite(found.final.covariances[:7]).all()
+    assert np.isnan(found.final.covariances[7]).all()
+    assert found.innovations.nis[7] == found.innovations.dof[7] == 0
+    assert "no longer positive semi-definite" in found.log.events[0]
+    assert "the first is 7" in found.log.events[0]
 
 
 def test_an_unknown_option_is_named():
@@ -195,7 +195,7 @@ def test_on_the_reports_data_it_fails_as_it_did_there():
         options = {key: value for key, value in config.estimators[name].items() if key != "estimator"}
         found = filtered(config, dataset, **options)
         assert found.complete
-        lengths[name] = np.linalg.norm(np.diff(found.world_T_imu[:, :3, 3], axis=0), axis=1).sum()
+        lengths[name] = np.linalg.norm(np.diff(found.final.world_T_imu[:, :3, 3], axis=0), axis=1).sum()
     # Of 1342 m: as printed it is lost, with the gain of the pose at 0.01 it keeps to dead reckoning.
     assert lengths["report_ekf"] > 10.0 * 1342.0
     assert 1342.0 < lengths["report_ekf_slowed"] < 1.2 * 1342.0

@@ -28,10 +28,10 @@ NOISE = TrackNoise(0.2, 0.3, 0.5)
 MOTION = se3.exp(np.array([0.01, -0.02, 0.03, 1.0, 0.1, -0.05]))
 
 
-def odometry(config, dataset, *, refused=None, **options):
+def odometry(config, dataset, *, usable=None, **options):
     built = stereo_vo.build(make_problem(config, dataset), options)
     sigma = pixel_sigma(config, dataset)
-    return loop.run(built, dataset.sequence, sigma, name="stereo_vo", refused=refused)
+    return loop.run(built, dataset.sequence, sigma, name="stereo_vo", usable=usable)
 
 
 def with_wrong_twist(dataset, error=0.05):
@@ -73,10 +73,10 @@ def test_without_noise_the_path_is_exact_whatever_the_twist_says():
     truth = dataset.reference.pose
     run = odometry(config, with_wrong_twist(dataset))
     assert run.complete
-    angle, distance = gap(run.world_T_imu, se3.inverse(truth[0]) @ truth)
+    angle, distance = gap(run.final.world_T_imu, se3.inverse(truth[0]) @ truth)
     assert angle < 1e-9
     assert distance < 1e-7
-    assert run.counts["inertial_steps"] == 0
+    assert run.log.counts["inertial_steps"] == 0
 
 
 def test_residuals_scatter_as_they_are_said_to(rng):
@@ -165,20 +165,22 @@ def test_where_no_track_goes_on_the_step_is_the_inertial_one():
     dataset = replace(dataset, sequence=dark(30, 1)(dataset.sequence))
     run = odometry(config, dataset)
     # Into the dark frame, and out of it.
-    assert run.counts["inertial_steps"] == 2
-    steps = se3.inverse(run.world_T_imu[:-1]) @ run.world_T_imu[1:]
+    assert run.log.counts["inertial_steps"] == 2
+    steps = se3.inverse(run.final.world_T_imu[:-1]) @ run.final.world_T_imu[1:]
     twist, _ = dataset.sequence.step_means()
     inertial = se3.exp(twist[1:] * np.diff(dataset.sequence.stamp)[:, None])
     off = np.abs(steps - inertial).max(axis=(1, 2))
     assert np.flatnonzero(off < 1e-12).tolist() == [29, 30]
-    assert run.dof[30] == run.dof[31] == 0
+    assert run.innovations.dof[30] == run.innovations.dof[31] == 0
     assert not run.used[dataset.sequence.frame_of == 30].any()
     problem, dt = make_problem(config, dataset), np.diff(dataset.sequence.stamp)[29]
     step = motion.integrate(twist[30], bias=problem.bias_mean, dt=dt, noise=problem.noise)
     # The bias that the twist may have is in it.
     own = step.cov + step.by_bias @ np.diag(problem.bias_sigma**2) @ step.by_bias.T
     carry = se3.adjoint(se3.inverse(steps[29]))
-    assert run.pose_cov[30] == pytest.approx(carry @ run.pose_cov[29] @ carry.T + own, rel=1e-9)
+    assert run.final.covariances[30] == pytest.approx(
+        carry @ run.final.covariances[29] @ carry.T + own, rel=1e-9
+    )
 
 
 def test_what_has_no_depth_is_gated_and_the_rest_goes_on():
@@ -187,16 +189,16 @@ def test_what_has_no_depth_is_gated_and_the_rest_goes_on():
     run = odometry(config, faulty)
     assert np.array_equal(run.gated, faulty.sequence.disparity < 0.5)
     assert not (run.used & run.gated).any()
-    assert gap(run.world_T_imu, odometry(config, dataset).world_T_imu)[1] < 1e-6
+    assert gap(run.final.world_T_imu, odometry(config, dataset).final.world_T_imu)[1] < 1e-6
 
 
 def test_refused_observations_are_in_no_step():
     config, dataset = drive(seed=6)
     refused = dataset.sequence.track % 3 == 0
-    run = odometry(config, dataset, refused=refused)
+    run = odometry(config, dataset, usable=~refused)
     assert not run.used[refused].any()
     assert run.used[~refused].mean() > 0.9
-    assert not np.array_equal(run.world_T_imu, odometry(config, dataset).world_T_imu)
+    assert not np.array_equal(run.final.world_T_imu, odometry(config, dataset).final.world_T_imu)
 
 
 @pytest.mark.slow
@@ -209,6 +211,6 @@ def test_on_recorded_drives_it_is_a_few_metres_off(name, file, length, bound):
     config = configuration.load(CONFIGS / f"{name}.yaml")
     dataset = open_dataset(config.data, seed=0, data_dir=recorded(file).parent)
     run = odometry(config, dataset)
-    assert path_length(run.world_T_imu) == pytest.approx(length, rel=0.01)
-    scores = score_trajectory(run.frame, run.stamp, run.world_T_imu, dataset.reference)
+    assert path_length(run.final.world_T_imu) == pytest.approx(length, rel=0.01)
+    scores = score_trajectory(run.frame, run.stamp, run.final.world_T_imu, dataset.reference)
     assert scores.headline.position.rmse < bound

@@ -121,7 +121,7 @@ def deviations(result: Calibration) -> dict[str, float]:
 
 
 def ratio(run) -> float:
-    return float(run.nis.sum() / run.dof.sum())
+    return float(run.innovations.nis.sum() / run.innovations.dof.sum())
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +225,7 @@ def test_without_observations_there_is_nothing_to_calibrate_on():
 
 
 def test_a_filter_that_does_not_finish_is_an_error(monkeypatch):
-    def failing(self, frame, refused):
+    def failing(self, frame):
         raise DivergedError("covariance lost, smallest variance -1")
 
     monkeypatch.setattr(EkfEstimator, "process", failing)

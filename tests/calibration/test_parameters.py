@@ -160,9 +160,9 @@ def test_offsets_where_the_config_had_none_are_applied_in_full(dataset):
 def test_the_likelihood_is_that_of_the_moved_sequence(dataset):
     moved = replace(SET, data=replace(SET.data, repair=replace(SET.data.repair, clock=Clock(offset=0.06))))
     again = open_dataset(replace(moved.data, simulation=near()), seed=5)
-    refused = np.zeros(dataset.sequence.observations, bool)
-    (got,) = Evaluator(dataset, SET).log_likelihoods([moved], refused=refused)
-    (wanted,) = Evaluator(again, moved).log_likelihoods([moved], refused=refused)
+    usable = np.ones(dataset.sequence.observations, bool)
+    (got,) = Evaluator(dataset, SET).log_likelihoods([moved], usable=usable)
+    (wanted,) = Evaluator(again, moved).log_likelihoods([moved], usable=usable)
     assert np.allclose(got, wanted, rtol=1e-9)
 
 
@@ -173,9 +173,9 @@ def test_the_first_frames_are_those_of_the_whole(dataset):
     for one, other in zip(part.frames(sigma[: part.observations]), whole.frames(sigma), strict=False):
         assert one.k == other.k
         assert one.dt == other.dt
-        assert np.array_equal(one.track, other.track)
-        assert np.array_equal(one.z, other.z)
-        assert np.allclose(one.twist, other.twist, rtol=0.0, atol=1e-12)
+        assert np.array_equal(one.stereo.track, other.stereo.track)
+        assert np.array_equal(one.stereo.z, other.stereo.z)
+        assert np.allclose(one.odometry.twist, other.odometry.twist, rtol=0.0, atol=1e-12)
     assert np.array_equal(part.row, whole.row[: part.observations])
 
 

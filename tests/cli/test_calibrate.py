@@ -251,7 +251,7 @@ def test_whatever_ends_it_the_best_so_far_stays(end, rounds, small, monkeypatch,
 def test_a_filter_that_fails_gives_1_and_leaves_the_old_file(small, monkeypatch, capsys):
     from vislam.estimators.ekf import EkfEstimator
 
-    def failing(self, frame, refused):
+    def failing(self, frame):
         raise DivergedError("covariance lost, smallest variance -1")
 
     Path("calibrated.yaml").write_text("from before", encoding="utf-8")

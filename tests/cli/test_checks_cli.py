@@ -57,10 +57,10 @@ def test_a_failed_estimator_gives_1_whatever_the_checks(monkeypatch):
 
     whole = EkfEstimator.process
 
-    def failing(self, frame, refused):
+    def failing(self, frame):
         if frame.k == 12:
             raise DivergedError("covariance lost")
-        return whole(self, frame, refused)
+        return whole(self, frame)
 
     monkeypatch.setattr(EkfEstimator, "process", failing)
     assert command("out", "--junit", "out.xml", checks=LOOSE) == 1

@@ -114,7 +114,11 @@ def test_a_swapped_order_of_the_tangent_is_caught(estimator, tmp_path, monkeypat
     def swapped(*arguments, **options):
         run = true(*arguments, **options)
         order = np.ix_(range(len(run.stamp)), [3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
-        return replace(run, pose_cov=run.pose_cov[order], pose_cov_causal=run.pose_cov_causal[order])
+        filtered, smoothed = (
+            None if poses is None else replace(poses, cov=poses.covariances[order])
+            for poses in (run.filtered, run.smoothed)
+        )
+        return replace(run, filtered=filtered, smoothed=smoothed)
 
     monkeypatch.setattr(running.loop, "run", swapped)
     failed = failing(tmp_path, estimators=estimator)

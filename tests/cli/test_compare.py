@@ -168,10 +168,10 @@ def test_a_failed_estimator_gives_1_and_keeps_what_it_had_done(tmp_path, capsys,
 
     whole = EkfEstimator.process
 
-    def failing(self, frame, refused):
+    def failing(self, frame):
         if frame.k == 12:
             raise DivergedError("covariance lost, smallest variance -1")
-        return whole(self, frame, refused)
+        return whole(self, frame)
 
     monkeypatch.setattr(EkfEstimator, "process", failing)
     assert main(["--config", TINY, "--out", "out"]) == 1

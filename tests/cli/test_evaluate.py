@@ -62,7 +62,7 @@ def test_another_folder_leaves_the_results_alone(made, folder, tmp_path):
 @pytest.mark.slow
 def test_a_trajectory_from_elsewhere_is_one_more_column(folder, tmp_path):
     run, record = Run.load(folder / "runs" / "ekf.npz"), Record.load(folder / "record.npz")
-    camera = se3.inverse(TURN) @ run.world_T_imu @ record.rig.imu_T_cam
+    camera = se3.inverse(TURN) @ run.final.world_T_imu @ record.rig.imu_T_cam
     np.savetxt(tmp_path / "camera.txt", camera[:, :3].reshape(-1, 12))
     third = [line for k, line in enumerate((folder / "ekf.tum").read_text().splitlines()) if k % 3 == 0]
     (tmp_path / "third.tum").write_text("\n".join(third))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.records import altered
 from vislam import compare
 from vislam.base.errors import Interrupted
 from vislam.core.run import Run
@@ -96,7 +97,7 @@ def test_only_what_is_whole_and_of_the_same_identity_is_gone_on_with(config, cal
         path.write_bytes((folder / "runs" / "ekf.npz").read_bytes())
     else:
         change = {"error": "frame 3: lost"} if damage == "incomplete" else {"identity": "0" * 16}
-        run.__class__(**{**vars(run), **change}).save(path)
+        altered(run, **change).save(path)
     assert start(config)[0] == 0
     assert calls == ["eks"]
     assert numbers(folder) == whole
@@ -120,10 +121,10 @@ def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypa
     whole = numbers(folder)
     real = loop.checked_step
 
-    def broken(step, frame):
+    def broken(step, frame, sizes):
         if calls[-1] == failing and frame.k == 5:
             sys.exit(0)
-        return real(step, frame)
+        return real(step, frame, sizes)
 
     monkeypatch.setattr(loop, "checked_step", broken)
     code, _ = start(config, "--fresh", "--junit", "j.xml", "--verbose")
@@ -138,7 +139,7 @@ def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypa
         assert kept == {key: value for key, value in whole.items() if failing not in key[0]}
     assert Path("j.xml").read_text().count("<error ") == 1
     assert f"{failing} is incomplete: frame 5: SystemExit: 0" in capsys.readouterr().out
-    assert "sys.exit(0)" in Run.load(folder / "runs" / f"{failing}.npz").traceback
+    assert "sys.exit(0)" in Run.load(folder / "runs" / f"{failing}.npz").log.traceback
     monkeypatch.setattr(loop, "checked_step", real)
     assert start(config)[0] == 0
     assert numbers(folder) == whole
@@ -147,10 +148,10 @@ def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypa
 def test_an_interrupt_keeps_and_scores_what_had_finished(config, calls, monkeypatch, capsys):
     real = loop.checked_step
 
-    def interrupted(step, frame):
+    def interrupted(step, frame, sizes):
         if calls[-1] == "eks" and frame.k == 5:
             raise Interrupted
-        return real(step, frame)
+        return real(step, frame, sizes)
 
     monkeypatch.setattr(loop, "checked_step", interrupted)
     code, folder = start(config)

@@ -34,7 +34,7 @@ def both(dataset: Dataset, config: Config, **options) -> tuple[Smoothed, DenseFi
     form = {key: value for key, value in options.items() if key in ("error", "landmarks")}
     dense = DenseFilter(problem, keep_poses=True, **form)
     for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
-        working.process(frame, np.zeros(len(frame.track), bool))
+        working.process(frame)
         dense.process(frame)
     return working.smooth(), dense, working
 
@@ -91,9 +91,9 @@ def test_it_is_later_data_that_make_the_difference(short: Dataset, short_config:
     )
     assert left.complete
     points, cov, _ = world(dense)
-    assert off(left.points_world, points) > 1e-4
-    assert off(left.points_cov, cov) > 1e-4
-    assert np.all(np.trace(cov - left.points_cov, axis1=1, axis2=2) < 1e-7)
+    assert off(left.map.points_world, points) > 1e-4
+    assert off(left.map.points_cov, cov) > 1e-4
+    assert np.all(np.trace(cov - left.map.points_cov, axis1=1, axis2=2) < 1e-7)
 
 
 def test_little_memory_changes_nothing_but_the_work(short_config: Config):
@@ -106,12 +106,12 @@ def test_little_memory_changes_nothing_but_the_work(short_config: Config):
         estimator = EkfEstimator(problem, EkfOptions(smoothed=True, error="invariant", memory_mb=memory))
         runs.append(run(estimator, dataset.sequence, sigma, name="eks"))
         recorders.append(estimator._recorder)
-    assert runs[0].counts["frames_computed_again"] == 0
-    assert 100 < runs[1].counts["frames_computed_again"] < runs[2].counts["frames_computed_again"]
+    assert runs[0].log.counts["frames_computed_again"] == 0
+    assert 100 < runs[1].log.counts["frames_computed_again"] < runs[2].log.counts["frames_computed_again"]
     for other, recorder, memory in zip(runs[1:], recorders[1:], (8.0, 4.0), strict=True):
-        assert np.array_equal(other.world_T_imu, runs[0].world_T_imu)
-        assert np.array_equal(other.points_world, runs[0].points_world)
-        assert np.array_equal(other.points_cov, runs[0].points_cov)
+        assert np.array_equal(other.final.world_T_imu, runs[0].final.world_T_imu)
+        assert np.array_equal(other.landmarks.points_world, runs[0].landmarks.points_world)
+        assert np.array_equal(other.landmarks.points_cov, runs[0].landmarks.points_cov)
         assert recorder.peak < 1.1e6 * memory
 
 

@@ -12,6 +12,7 @@ from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config, DataConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.run import Run
+from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf import EkfEstimator, EkfOptions, chart
 from vislam.estimators.ekf.dense import DenseFilter
 from vislam.estimators.ekf.layout import NavLayout
@@ -34,12 +35,12 @@ def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
     problem = make_problem(short_config, short)
     working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
-        record = working.process(frame, np.zeros(len(frame.track), bool))
+        step = working.process(frame)
         dense.process(frame)
-        assert np.allclose(record.world_T_imu, dense.world_T_imu, atol=1e-9)
+        assert np.allclose(step.pose, dense.world_T_imu, atol=1e-9)
         assert np.allclose(working.state.nav[BIAS], dense.bias, atol=1e-9)
         # Relative to the variances: the dense filter loses symmetry in the last digits.
-        assert np.allclose(record.pose_cov, dense.cov[:6, :6], rtol=1e-6, atol=1e-13)
+        assert np.allclose(step.pose_cov, dense.cov[:6, :6], rtol=1e-6, atol=1e-13)
     assert frame.k == len(short.sequence) - 1
 
 
@@ -47,7 +48,7 @@ def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config:
     problem = make_problem(short_config, short)
     working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
-        working.process(frame, np.zeros(len(frame.track), bool))
+        working.process(frame)
         dense.process(frame)
     slots = [dense.track.index(int(track)) for track in working.state.track]
     assert len(slots) > 5
@@ -64,7 +65,7 @@ def test_without_noise_it_ends_at_the_truth(short_config: Config):
     dataset = open_dataset(config.data, seed=1)
     result = filtered(config, dataset)
     assert result.complete
-    error = result.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    error = result.final.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
     # What is left is the straight line between inertial samples, not the filter's.
     assert np.abs(error).max() < 5e-3
 
@@ -74,7 +75,7 @@ def test_the_bias_is_found(short_config: Config):
     config = replace(short_config, data=DataConfig(simulation=biased))
     dataset = open_dataset(config.data, seed=2)
     result = filtered(config, dataset)
-    assert np.allclose(result.bias[-1, :3], biased.gyro_bias, atol=1e-3)
+    assert np.allclose(result.states[TWIST_BIAS].value[-1, :3], biased.gyro_bias, atol=1e-3)
 
 
 def test_the_gate_refuses_planted_outliers_and_little_else(short_config: Config):
@@ -142,9 +143,9 @@ def test_the_huber_weight_is_that_of_the_density(short: Dataset, short_config: C
 def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
     ungated = EkfEstimator(make_problem(short_config, short), EkfOptions(gate=False))
     result = run(ungated, short.sequence, pixel_sigma(short_config, short), name="ekf")
-    ratio = result.nis.sum() / result.dof.sum()
+    ratio = result.innovations.nis.sum() / result.innovations.dof.sum()
     # Five standard deviations of a chi-square of that size.
-    assert abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / result.dof.sum()) + 0.03
+    assert abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / result.innovations.dof.sum()) + 0.03
 
 
 def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
@@ -167,8 +168,10 @@ def test_without_drift_and_match_error_both_ways_of_taking_them_are_one(short: D
         run(EkfEstimator(problem, EkfOptions(track_errors=how)), short.sequence, sigma, name=how)
         for how in ("states", "independent")
     ]
-    assert np.allclose(runs[0].world_T_imu, runs[1].world_T_imu, atol=1e-6)
-    assert np.isclose(runs[0].log_likelihood.sum(), runs[1].log_likelihood.sum(), rtol=1e-4)
+    assert np.allclose(runs[0].final.world_T_imu, runs[1].final.world_T_imu, atol=1e-6)
+    assert np.isclose(
+        runs[0].innovations.log_likelihood.sum(), runs[1].innovations.log_likelihood.sum(), rtol=1e-4
+    )
 
 
 def test_the_states_explain_tracks_that_drift_better_than_white_noise(short: Dataset, short_config: Config):
@@ -178,4 +181,4 @@ def test_the_states_explain_tracks_that_drift_better_than_white_noise(short: Dat
         run(EkfEstimator(problem, EkfOptions(gate=False, track_errors=how)), short.sequence, sigma, name=how)
         for how in ("states", "independent")
     )
-    assert states.log_likelihood.sum() > white.log_likelihood.sum() + 50.0
+    assert states.innovations.log_likelihood.sum() > white.innovations.log_likelihood.sum() + 50.0

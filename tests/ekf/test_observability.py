@@ -20,7 +20,7 @@ def gained(dataset, config, **options):
     solver = EkfEstimator(make_problem(config, dataset), EkfOptions(**options))
     run = loop.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
     assert run.complete
-    return run.world_gained.sum(axis=0)
+    return run.innovations.world_gained.sum(axis=0)
 
 
 @pytest.mark.parametrize("landmarks", ["point", "disparity"])
@@ -69,7 +69,7 @@ def test_the_noise_of_an_update_is_found_in_it(short, short_config):
     solver = EkfEstimator(problem, EkfOptions(gate=False))
     updates = 0
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
-        solver.process(frame, np.zeros(len(frame.track), bool))
+        solver.process(frame)
     for step in solver.state.steps:
         if isinstance(step, Update):
             white = observability._white(step).reshape(-1, 3)

@@ -13,6 +13,7 @@ from vislam.comparison.config import ClimbConfig, Config, DataConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import find
 from vislam.core.run import Run
+from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.ekf.linear import Update
 from vislam.estimators.ekf.state import JointState
@@ -39,7 +40,7 @@ def drive(
 def filtered(config: Config, dataset: Dataset, **options) -> tuple[Run, EkfEstimator]:
     estimator = EkfEstimator(make_problem(config, dataset), EkfOptions(**{**INVARIANT, **options}))
     found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
-    assert found.complete, found.error
+    assert found.complete, found.log.error
     return found, estimator
 
 
@@ -87,8 +88,8 @@ def test_a_state_with_no_prior_spread_stays_what_it_is(short_config: Config):
         short_config, seed=7, noise={"bias_sigma": fixed, "bias_walk": (0.0,) * 4 + (5e-4,) * 2}
     )
     found, estimator = filtered(config, dataset)
-    assert np.all(found.bias[:, :4] == 0.0)
-    assert np.all(found.bias[-1, 4:] != 0.0)
+    assert np.all(found.states[TWIST_BIAS].value[:, :4] == 0.0)
+    assert np.all(found.states[TWIST_BIAS].value[-1, 4:] != 0.0)
     assert list(estimator.state.layout) == ["pose", "twist_bias"]
 
 
@@ -118,9 +119,9 @@ def test_the_climb_rate_holds_the_height(short_config: Config, options):
     with_climb, dataset, estimator = climbing(short_config, climb=ClimbConfig(), **options)
     without, _, _ = climbing(short_config, climb=None, **options)
     height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
-    found = with_climb.levelled().world_T_imu[:, 2, 3]
+    found = with_climb.levelled().final.world_T_imu[:, 2, 3]
     assert np.abs(found - height).max() < 0.3
-    lost = from_first(dataset.reference.pose)[:, 2, 3] - without.world_T_imu[:, 2, 3]
+    lost = from_first(dataset.reference.pose)[:, 2, 3] - without.final.world_T_imu[:, 2, 3]
     assert np.abs(lost).max() > 2.0 * np.abs(found - height).max()
     # The vertical in the body's first frame, which is the world.
     true_up = dataset.reference.pose[0, 2, :3]
@@ -173,10 +174,10 @@ def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config:
     true, seen = JointState.correct, []
     monkeypatch.setattr(JointState, "correct", check)
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
-        order = {int(track): row for row, track in enumerate(frame.track)}
+        order = {int(track): row for row, track in enumerate(frame.stereo.track)}
         known = [order[int(track)] for track in estimator.state.track if int(track) in order]
-        seen[:] = [frame.z[known]]
-        estimator.process(frame, np.zeros(len(frame.track), bool))
+        seen[:] = [frame.stereo.z[known]]
+        estimator.process(frame)
     assert len(checked) > 15
     assert max(change.max() for change in checked) < 5e-3
 
@@ -200,7 +201,7 @@ def test_the_covariance_stays_symmetric_and_positive(short_config: Config, membe
     config, dataset = drive(short_config, seed=11)
     estimator = find(member)(make_problem(config, dataset), {"finished": "as_left"})
     for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
-        estimator.process(frame, np.zeros(len(frame.track), bool))
+        estimator.process(frame)
         known = np.diagonal(estimator.state.cov) > 0.0
         cov = estimator.state.cov[np.ix_(known, known)]
         sigma = np.sqrt(np.diagonal(cov))
@@ -224,10 +225,10 @@ def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
         pixel_sigma(config, dataset),
         name=member,
     )
-    assert found.complete, found.error
-    assert np.array_equal(found.track, np.unique(later))
-    assert np.isfinite(found.points_cov).all()
-    error = found.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    assert found.complete, found.log.error
+    assert np.array_equal(found.landmarks.track, np.unique(later))
+    assert np.isfinite(found.landmarks.points_cov).all()
+    error = found.final.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
     assert np.abs(error[-1]).max() < 2.0
 
 

@@ -7,6 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from tests.evaluation.test_evaluation import circle, made_run
+from tests.records import altered
+from vislam.core.trajectory import Poses
 from vislam.evaluation.agreement import Agreement, agreement, compared, transported
 from vislam.evaluation.normalised import COMPONENTS, usable
 from vislam.geometry import se3
@@ -32,8 +34,8 @@ def pair(rng):
     truth = circle(frames=FRAMES)
     first, second = covariances(rng), covariances(rng)
     return (
-        made_run("a", drawn(rng, truth, first), pose_cov=first),
-        made_run("b", drawn(rng, truth, second), pose_cov=second),
+        made_run("a", drawn(rng, truth, first), cov=first),
+        made_run("b", drawn(rng, truth, second), cov=second),
     )
 
 
@@ -52,8 +54,8 @@ def test_a_smoother_and_a_filter_with_the_same_error_in_part_are_closer(rng):
     smoother = drawn(rng, truth, late)
     filtered = drawn(rng, smoother, more)
     found = agreement(
-        made_run("filter", truth, world_T_imu_causal=filtered, pose_cov_causal=late + more),
-        made_run("smoother", smoother, pose_cov=late),
+        made_run("filter", truth, filtered=Poses(filtered, late + more)),
+        made_run("smoother", smoother, cov=late),
         causal=(True, False),
     )
     assert 0.2 < found.per_freedom < 0.8
@@ -70,15 +72,15 @@ def test_opposite_errors_are_two_apart_and_no_errors_are_more(rng):
     error = np.einsum("tij,tj->ti", np.linalg.cholesky(cov), rng.normal(size=(FRAMES, 6)))
     error[0] = 0.0
     found = agreement(
-        made_run("a", truth @ se3.exp(error), pose_cov=cov),
-        made_run("b", truth @ se3.exp(-error), pose_cov=cov),
+        made_run("a", truth @ se3.exp(error), cov=cov),
+        made_run("b", truth @ se3.exp(-error), cov=cov),
     )
     assert found.per_freedom == pytest.approx(2.0, abs=0.3)
 
 
 def test_worlds_are_joined_at_the_first_pose(rng):
     one, other = pair(rng)
-    moved = replace(other, world_T_imu=se3.exp(rng.normal(size=6)) @ other.world_T_imu)
+    moved = altered(other, world_T_imu=se3.exp(rng.normal(size=6)) @ other.final.world_T_imu)
     assert np.allclose(agreement(one, other).squared, agreement(one, moved).squared, rtol=1e-6)
 
 
@@ -90,10 +92,10 @@ def test_the_distance_is_symmetric_to_first_order(rng):
     assert np.allclose(there.squared, back.squared, rtol=0.02)
     # The same covariances a hundred times as small: a difference ten times as small.
     small = [
-        replace(
+        altered(
             run,
-            world_T_imu=circle(FRAMES) @ se3.exp(0.1 * se3.local(circle(FRAMES), run.world_T_imu)),
-            pose_cov=0.01 * run.pose_cov,
+            world_T_imu=circle(FRAMES) @ se3.exp(0.1 * se3.local(circle(FRAMES), run.final.world_T_imu)),
+            cov=0.01 * run.final.covariances,
         )
         for run in (one, other)
     ]
@@ -115,12 +117,12 @@ def test_a_covariance_is_taken_along_to_the_other_pose(rng):
 def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
     one, other = pair(rng)
     found = agreement(one, other)
-    total = one.pose_cov[1:] + transported(other.pose_cov[1:], found.difference)
+    total = one.final.covariances[1:] + transported(other.final.covariances[1:], found.difference)
     expected = np.einsum(
         "ti,ti->t", found.difference, np.linalg.solve(total, found.difference[..., None])[..., 0]
     )
     assert np.allclose(found.squared, expected, rtol=1e-9)
-    assert np.allclose(se3.retract(one.world_T_imu[1:], found.difference), other.world_T_imu[1:])
+    assert np.allclose(se3.retract(one.final.world_T_imu[1:], found.difference), other.final.world_T_imu[1:])
 
 
 @pytest.mark.parametrize("frames", [50, 1000])
@@ -135,13 +137,13 @@ def test_the_bound_of_parting_is_shared_out_over_the_frames(rng, frames):
 
 def test_runs_part_where_one_goes_astray_for_good(rng):
     one, other = pair(rng)
-    astray = other.world_T_imu.copy()
+    astray = other.final.world_T_imu.copy()
     astray[200:] = astray[200:] @ se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))
-    assert agreement(one, replace(other, world_T_imu=astray)).parting() == 200
+    assert agreement(one, altered(other, world_T_imu=astray)).parting() == 200
     # One bad pose is no parting.
-    astray = other.world_T_imu.copy()
+    astray = other.final.world_T_imu.copy()
     astray[200] = astray[200] @ se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))
-    found = agreement(one, replace(other, world_T_imu=astray))
+    found = agreement(one, altered(other, world_T_imu=astray))
     assert found.squared[199] > 100.0
     assert found.parting() is None
 
@@ -149,7 +151,7 @@ def test_runs_part_where_one_goes_astray_for_good(rng):
 def test_a_planted_swap_of_the_tangent_order_is_seen(rng):
     one, other = pair(rng)
     order = [3, 4, 5, 0, 1, 2]
-    swapped = [replace(run, pose_cov=run.pose_cov[:, order][:, :, order]) for run in (one, other)]
+    swapped = [altered(run, cov=run.final.covariances[:, order][:, :, order]) for run in (one, other)]
     assert agreement(*swapped).parting() is not None
     assert agreement(*swapped).per_freedom > 2.0
 
@@ -158,8 +160,8 @@ def test_ratios_are_those_of_the_variances_and_name_the_component(rng):
     truth = circle(frames=FRAMES)
     cov = np.tile(np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4]), (FRAMES, 1, 1))
     change = np.array([1.0, 1.0, 25.0, 1.0, 1.0, 0.04])
-    one = made_run("a", truth, pose_cov=cov * change)
-    found = agreement(one, made_run("b", truth, pose_cov=cov))
+    one = made_run("a", truth, cov=cov * change)
+    found = agreement(one, made_run("b", truth, cov=cov))
     assert np.allclose(found.ratios, [0.04, 1.0, 1.0, 1.0, 1.0, 25.0])
     said = found.certainty()
     assert (said.smallest_along, said.largest_along) == ("up", "yaw")
@@ -184,20 +186,21 @@ def test_ratios_do_not_depend_on_the_coordinates(rng):
 
 def test_frames_without_both_covariances_are_left_out(rng):
     one, other = pair(rng)
-    cov = one.pose_cov.copy()
+    cov = one.final.covariances.copy()
     cov[7] = np.nan
-    found = agreement(replace(one, pose_cov=cov), other)
+    found = agreement(altered(one, cov=cov), other)
     assert np.array_equal(found.frame, [*range(1, 7), *range(8, FRAMES)])
-    assert agreement(one, other, causal=(False, True)) is None
+    bare = replace(other, filtered=Poses(other.filtered.world_T_imu), smoothed=other.filtered)
+    assert agreement(one, bare, causal=(False, True)) is None
     assert agreement(made_run("none", circle(0)), other) is None
 
 
 def test_runs_that_are_worlds_apart_are_compared_where_numbers_last(rng):
     """A filter that has gone astray by 200 km; nothing is left of the other's covariance over there."""
     sound, other = pair(rng)
-    astray = other.world_T_imu.copy()
+    astray = other.final.world_T_imu.copy()
     astray[FRAMES // 2 :, 0, 3] += 2e5
-    found = agreement(sound, replace(other, world_T_imu=astray))
+    found = agreement(sound, altered(other, world_T_imu=astray))
     assert found is not None
     assert np.isfinite(found.ratios).all()
     assert (found.ratios > 0.0).all()

@@ -1,7 +1,5 @@
 """A ladder whose errors are known by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ ERRORS = {"low": (10.0, 10.0), "middle": (4.0, 4.5), "high": (5.0, 8.0)}
 
 def made_ladder(key, **changes):
     """Runs in another order than the ladder's, with made-up scores."""
-    runs = {name: replace(made_run(name, circle(10)), **changes.get(name, {})) for name in sorted(ERRORS)}
+    runs = {name: made_run(name, circle(10), **changes.get(name, {})) for name in sorted(ERRORS)}
     scores = [
         Metric(name, key + suffix, value, "m", "truth")
         for name, pair in ERRORS.items()

@@ -104,8 +104,8 @@ def test_a_jump_that_the_covariance_before_it_allows_is_none():
     jumped[200:, 1, 3] += 100.0
     unsure = np.tile(np.diag([1e-6] * 3 + [900.0] * 3), (400, 1, 1))
     assert degeneracies(run_of(jumped), record_of(truth))
-    assert degeneracies(run_of(jumped, pose_cov=unsure), record_of(truth)) == ()
-    assert degeneracies(run_of(jumped, pose_cov=unsure / 100.0), record_of(truth))
+    assert degeneracies(run_of(jumped, cov=unsure), record_of(truth)) == ()
+    assert degeneracies(run_of(jumped, cov=unsure / 100.0), record_of(truth))
 
 
 def test_a_turn_on_the_spot_is_a_jump_too():

@@ -1,11 +1,10 @@
 """Maps against the true one and against each other."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run
+from tests.records import altered
 from vislam.core.reference import truth_reference
 from vislam.evaluation.maps import binned, map_difference, map_errors
 from vislam.geometry import se3
@@ -60,7 +59,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_in_the_claim_is_found(world, fault):
     run, reference = world
-    wrong = replace(run, points_cov=FAULTS[fault](run.points_cov))
+    wrong = altered(run, points_cov=FAULTS[fault](run.landmarks.points_cov))
     assert errors(wrong, reference).normalised.statistic().p_value() < 1e-3
 
 
@@ -70,7 +69,7 @@ def test_the_share_found_counts_what_is_near_for_its_depth(rng):
     off[:, 0] = np.repeat([0.4, 0.6, 3.0, 6.0], 25)
     # Of a hundred true landmarks the last ten have not been estimated, and one is of nobody's.
     run = made_run("one", circle(10), track=np.arange(91) * 2, points_world=(true + off)[:91])
-    run = replace(run, track=np.where(run.track == 180, 181, run.track))
+    run = altered(run, track=np.where(run.landmarks.track == 180, 181, run.landmarks.track))
     reference = truth_reference(circle(10), np.arange(100) * 2, true)
     near = map_errors(run, reference, alignment=np.eye(4), depth=np.full(100, 5.0))
     assert len(near.track) == 90
@@ -83,19 +82,19 @@ def test_the_share_found_counts_what_is_near_for_its_depth(rng):
 
 def test_maps_without_anything_in_common_are_not_compared(world):
     run, reference = world
-    other = replace(run, track=run.track + POINTS)
+    other = altered(run, track=run.landmarks.track + POINTS)
     assert errors(other, reference) is None
     assert map_difference(run, other) is None
 
 
 def test_landmarks_without_a_claim_are_left_out_of_it(world):
     run, reference = world
-    cov = run.points_cov.copy()
+    cov = run.landmarks.points_cov.copy()
     cov[3], cov[4] = np.nan, 0.0
-    found = errors(replace(run, points_cov=cov), reference)
+    found = errors(altered(run, points_cov=cov), reference)
     assert len(found.distance) == POINTS
     assert np.array_equal(found.normalised.index, np.delete(np.arange(POINTS), [3, 4]))
-    assert errors(replace(run, points_cov=np.full_like(cov, np.nan)), reference).normalised is None
+    assert errors(altered(run, points_cov=np.full_like(cov, np.nan)), reference).normalised is None
 
 
 @pytest.fixture
@@ -106,7 +105,7 @@ def two(rng, world):
     other = made_run(
         "other",
         MOVE @ circle(10),
-        track=run.track[::-1],
+        track=run.landmarks.track[::-1],
         points_world=(reference.points_world + drawn(rng, cov) @ TURN.T)[::-1],
         points_cov=(TURN @ cov @ TURN.T)[::-1],
     )
@@ -118,12 +117,12 @@ def test_independent_maps_are_apart_by_both_their_errors(two):
     assert there.squared.mean() == pytest.approx(3.0, abs=0.3)
     assert np.allclose(there.squared, back.squared)
     assert np.allclose(there.distance, back.distance)
-    wrong = [replace(run, points_cov=run.points_cov[:, ::-1, ::-1]) for run in two]
+    wrong = [altered(run, points_cov=run.landmarks.points_cov[:, ::-1, ::-1]) for run in two]
     assert map_difference(*wrong).squared.mean() > 4.0
 
 
 def test_distances_stand_without_covariances(two):
-    bare = map_difference(two[0], replace(two[1], points_cov=None))
+    bare = map_difference(two[0], altered(two[1], points_cov=None))
     assert np.allclose(bare.distance, map_difference(*two).distance)
     assert np.isnan(bare.squared).all()
 
@@ -144,7 +143,7 @@ def test_bins_count_each_landmark_once_and_have_its_medians(two):
 
 
 def test_a_bin_without_covariances_has_a_distance(two):
-    found = map_difference(two[0], replace(two[1], points_cov=None))
+    found = map_difference(two[0], altered(two[1], points_cov=None))
     table = binned(found.distance, found.squared, by=np.zeros(POINTS), edges=np.array([0.0, 1.0]))
     assert table[0].distance == np.median(found.distance)
     assert np.isnan(table[0].mahalanobis)

@@ -8,7 +8,11 @@ from scipy.stats import binom
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.evaluation.test_statistics import decaying
+from tests.records import altered
 from vislam.core.reference import Reference
+from vislam.core.run import StateHistory
+from vislam.core.step import TWIST_BIAS
+from vislam.core.trajectory import Poses
 from vislam.evaluation.alignment import align
 from vislam.evaluation.normalised import (
     PARTS,
@@ -48,7 +52,7 @@ def drive(rng):
     error = decaying(LENGTH, 6)(rng) @ np.linalg.cholesky(body_cov()).T
     error[0] = 0.0
     estimate = truth @ se3.inverse(se3.exp(error))
-    return truth, made_run("one", estimate, pose_cov=np.tile(body_cov(), (FRAMES, 1, 1)))
+    return truth, made_run("one", estimate, cov=np.tile(body_cov(), (FRAMES, 1, 1)))
 
 
 def p_values(run, reference):
@@ -91,7 +95,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_in_the_claim_is_found(rng, fault):
     truth, run = drive(rng)
-    wrong = replace(run, pose_cov=FAULTS[fault](run.pose_cov, run.world_T_imu))
+    wrong = altered(run, cov=FAULTS[fault](run.final.covariances, run.final.world_T_imu))
     assert p_values(run, of_truth(truth))["pose"] > SUSPECT
     assert p_values(wrong, of_truth(truth))["pose"] < SUSPECT
 
@@ -99,7 +103,7 @@ def test_a_planted_fault_in_the_claim_is_found(rng, fault):
 def test_worlds_are_joined_and_a_rigid_motion_of_either_changes_nothing(rng):
     truth, run = drive(rng)
     plain = pose_errors(run, of_truth(truth))
-    moved = replace(run, world_T_imu=se3.exp(rng.normal(size=6)) @ run.world_T_imu)
+    moved = altered(run, world_T_imu=se3.exp(rng.normal(size=6)) @ run.final.world_T_imu)
     other = pose_errors(moved, of_truth(se3.exp(rng.normal(size=6)) @ truth))
     for part in plain:
         assert np.allclose(plain[part].nees, other[part].nees, rtol=1e-6)
@@ -111,7 +115,7 @@ def test_an_error_that_stays_in_the_world_counts_once_though_the_body_turns():
     estimate = truth.copy()
     estimate[1:, :3, 3] += [1.0, -0.5, 0.2]
     cov = np.tile(np.diag([1e-6] * 3 + [0.5] * 3), (FRAMES, 1, 1))
-    found = pose_errors(made_run("one", estimate, pose_cov=cov), of_truth(truth))["position"]
+    found = pose_errors(made_run("one", estimate, cov=cov), of_truth(truth))["position"]
     assert np.ptp(found.error[:, 0]) > 1.0
     assert found.statistic().effective == 1.0
 
@@ -133,12 +137,12 @@ def test_another_point_of_the_body_has_another_position_error_and_the_same_pose_
 
 def test_frames_without_a_claim_are_left_out(rng):
     truth, run = drive(rng)
-    cov = run.pose_cov.copy()
+    cov = run.final.covariances.copy()
     cov[5] = np.nan
     cov[6] = 0.0
     cov[7] = np.ones((6, 6))
     cov[8] = 1e-30 * np.eye(6)
-    found = pose_errors(replace(run, pose_cov=cov), of_truth(truth))
+    found = pose_errors(altered(run, cov=cov), of_truth(truth))
     for one in found.values():
         assert np.array_equal(one.index, [*range(1, 5), *range(9, FRAMES)])
         assert one.statistic().samples == FRAMES - 5
@@ -147,15 +151,16 @@ def test_frames_without_a_claim_are_left_out(rng):
 def test_a_covariance_that_is_positive_definite_in_some_axes_only_is_left_out(rng):
     """With rounding, one of variances 1e29 and 1e-4 is so in the body's axes, and not in those that stay."""
     truth, run = drive(rng)
-    cov = run.pose_cov.copy()
+    cov = run.final.covariances.copy()
     cov[40] = np.diag([1e-4, 1e-4, 1e29, 1e-4, 1e29, 1e-4])
-    found = pose_errors(replace(run, pose_cov=cov), of_truth(truth))["pose"]
+    found = pose_errors(altered(run, cov=cov), of_truth(truth))["pose"]
     assert 40 not in found.index
     assert np.isfinite(found.nees).all()
 
 
 def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
     truth, run = drive(rng)
+    run = replace(run, filtered=Poses(run.filtered.world_T_imu), smoothed=run.filtered)
     assert pose_errors(run, of_truth(truth), causal=True) is None
     assert pose_errors(run, replace(of_truth(truth), pose=None)) is None
     assert position_errors(run, of_truth(truth), planar=True, reference_sigma=1.0, causal=True) is None
@@ -167,7 +172,9 @@ def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
 def test_poses_at_their_own_time_have_their_own_covariances(rng):
     truth, run = drive(rng)
     causal = replace(
-        run, world_T_imu_causal=run.world_T_imu, pose_cov_causal=4.0 * run.pose_cov, world_T_imu=truth
+        run,
+        filtered=Poses(run.final.world_T_imu, 4.0 * run.final.cov),
+        smoothed=Poses(truth, run.final.cov),
     )
     final, own = pose_errors(run, of_truth(truth)), pose_errors(causal, of_truth(truth), causal=True)
     assert np.allclose(own["pose"].nees, 0.25 * final["pose"].nees)
@@ -189,7 +196,7 @@ def test_positions_alone_are_compared_wherever_their_world_lies(rng, planar):
     assert sound.error.shape == (FRAMES, 2 if planar else 3)
     assert sound.statistic().value == pytest.approx(1.0, abs=0.15)
     assert "only values above 1 accuse" in sound.convention
-    wrong = replace(run, pose_cov=in_world(run.pose_cov, run.world_T_imu))
+    wrong = altered(run, cov=in_world(run.final.covariances, run.final.world_T_imu))
     assert (
         position_errors(wrong, reference, planar=planar, reference_sigma=0.0).statistic().p_value() < SUSPECT
     )
@@ -210,7 +217,7 @@ def test_an_alignment_does_not_accuse_a_run_that_was_sure_of_its_start(rng, plan
     least_distance = []
     for pose in estimates.transpose(1, 0, 2, 3):
         found = position_errors(
-            made_run("one", pose, pose_cov=cov), reference, planar=planar, reference_sigma=1e-3
+            made_run("one", pose, cov=cov), reference, planar=planar, reference_sigma=1e-3
         )
         assert found.statistic().p_value() > SUSPECT
         # No worse than with the true motion between the worlds.
@@ -230,14 +237,14 @@ def test_the_bias_is_compared_with_the_true_one(rng):
     bias = true - sigma * decaying(LENGTH, 6)(rng)
     # The first is not given.
     sigma[0] = np.nan
-    run = made_run("one", circle(frames=FRAMES), bias=bias, bias_sigma=sigma)
+    run = made_run("one", circle(frames=FRAMES), states={TWIST_BIAS: StateHistory(bias, sigma)})
     found = bias_errors(run, true)
     assert np.array_equal(found.index, np.arange(1, FRAMES))
     assert found.statistic().p_value() > SUSPECT
     assert np.allclose(found.nees, bias_errors(run, np.tile(true, (FRAMES + 3, 1))).nees)
     assert bias_errors(run, -true).statistic().p_value() < SUSPECT
     bias[7] = np.nan
-    assert 7 not in bias_errors(replace(run, bias=bias), true).index
+    assert 7 not in bias_errors(altered(run, states={TWIST_BIAS: StateHistory(bias, sigma)}), true).index
 
 
 def test_the_nis_is_averaged_over_the_frames_that_fuse_something(rng):
@@ -248,13 +255,13 @@ def test_the_nis_is_averaged_over_the_frames_that_fuse_something(rng):
     assert found.value == pytest.approx(run.nis_per_dof)
     assert found.samples == np.sum(dof > 0)
     assert found.p_value() > SUSPECT
-    assert nis_statistic(replace(run, nis=0.25 * nis)).p_value() < SUSPECT
+    assert nis_statistic(altered(run, nis=0.25 * nis)).p_value() < SUSPECT
     assert nis_whiteness(run).p_value > SUSPECT
 
 
 def test_the_coverage_curve_of_a_sound_claim_is_the_diagonal_and_of_a_bold_one_below_it(rng):
     truth, run = drive(rng)
-    bold = replace(run, pose_cov=0.25 * run.pose_cov)
+    bold = altered(run, cov=0.25 * run.final.covariances)
     for part, one in pose_errors(run, of_truth(truth)).items():
         curve = one.coverage_curve()
         assert curve.shape == PROBABILITIES.shape
@@ -294,10 +301,10 @@ def reckoned(rng, runs, frames=200):
 def test_dead_reckoning_whose_errors_never_decorrelate_is_accused_no_more_often_than_stated(rng):
     truth, estimates, cov = reckoned(rng, runs=100)
     reference = of_truth(truth)
-    sound = [p_values(made_run("one", estimates[:, k], pose_cov=cov), reference) for k in range(100)]
+    sound = [p_values(made_run("one", estimates[:, k], cov=cov), reference) for k in range(100)]
     for part in PARTS:
         found = np.array([one[part] for one in sound])
         for nominal in (0.01, 0.05):
             assert np.sum(found < nominal) <= binom.ppf(0.999, 100, nominal)
-    bold = [p_values(made_run("one", estimates[:, k], pose_cov=cov / 9.0), reference) for k in range(100)]
+    bold = [p_values(made_run("one", estimates[:, k], cov=cov / 9.0), reference) for k in range(100)]
     assert np.mean([one["pose"] < SUSPECT for one in bold]) > 0.8

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.records import on_frames
 from vislam.cli.console import Terminal
 from vislam.comparison.compare import compare
 from vislam.comparison.config import Config
@@ -92,8 +93,8 @@ def test_landmarks_have_the_depth_and_the_views_that_their_tracks_have(results, 
         track = pair.map.track[index]
         rows = np.flatnonzero(given.track == track)
         assert pair.views[index] == len(rows)
-        point = run.points_world[run.track == track][0]
-        start = run.world_T_imu[given.frame[rows[0]], :3, 3]
+        point = run.landmarks.points_world[run.landmarks.track == track][0]
+        start = run.final.world_T_imu[given.frame[rows[0]], :3, 3]
         assert pair.depth[index] == pytest.approx(np.linalg.norm(point - start))
     assert sum(row.count for row in pair.by_depth()) == len(pair.map.track)
     assert sum(row.count for row in pair.by_views()) == len(pair.map.track)
@@ -102,7 +103,7 @@ def test_landmarks_have_the_depth_and_the_views_that_their_tracks_have(results, 
 def test_a_map_is_complete_without_the_landmarks_that_nobody_was_given(results, evaluation):
     given = np.unique(results.record.given.track)
     for name in ("eks", "isam2"):
-        known = np.isin(given, results.runs[name].track).mean()
+        known = np.isin(given, results.runs[name].landmarks.track).mean()
         assert evaluation.value(name, "map_completeness") == pytest.approx(known)
     assert evaluation.value("eks", "map_completeness") > 0.95
 
@@ -112,7 +113,7 @@ def test_nobody_was_given_the_held_out_tracks(results):
     assert len(record.held_out.track)
     assert not np.isin(record.given.track, record.held_out.track).any()
     for run in results.runs.values():
-        assert not np.isin(run.track, record.held_out.track).any()
+        assert not np.isin(run.landmarks.track, record.held_out.track).any()
     assert record.counts["held_out_tracks"] == len(np.unique(record.held_out.track))
 
 
@@ -149,9 +150,7 @@ def test_without_a_reference_there_is_still_much_to_say(results, evaluation):
 
 def test_a_run_with_gaps_is_compared_on_the_frames_that_it_has(results, evaluation):
     whole, rows = results.runs["isam2"], np.arange(0, 25, 3)
-    per_frame = ("frame", "stamp", "world_T_imu", "world_T_imu_causal", "pose_cov", "pose_cov_causal")
-    per_frame += ("bias", "bias_sigma", "nis", "dof", "log_likelihood", "world_gained")
-    some = replace(whole, name="some", **{key: getattr(whole, key)[rows] for key in per_frame})
+    some = replace(on_frames(whole, rows), name="some")
     found = evaluate({**results.runs, "some": some}, results.record)
     claims, all_claims = found.scores["some"].claims, evaluation.scores["isam2"].claims
     shared = np.isin(all_claims["nees_pose"].index, claims["nees_pose"].index)

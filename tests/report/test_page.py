@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from tests.records import altered
 from vislam.evaluation import evaluate
 from vislam.report.figures import FIGURES, all_figures
 from vislam.report.scene import scene_data, three_sigma_axes
@@ -168,12 +169,7 @@ def test_a_page_without_reference_runs_or_scene_is_whole(tiny, tmp_path):
 
 
 def test_a_run_without_covariances_or_map_is_drawn(tiny):
-    bare = replace(
-        tiny.runs["ekf"],
-        points_cov=None,
-        pose_cov=np.full_like(tiny.runs["ekf"].pose_cov, np.nan),
-        pose_cov_causal=np.full_like(tiny.runs["ekf"].pose_cov, np.nan),
-    )
+    bare = altered(tiny.runs["ekf"], points_cov=None, cov=None)
     runs = {"bare": bare, "no map": tiny.runs["dead_reckoning"]}
     record = replace(tiny.record, reference=None)
     shown = Shown.of(runs, record, evaluate(runs, record), ())
@@ -214,5 +210,5 @@ def test_the_scene_holds_each_path_on_the_reference_and_landmarks_when_first_see
 
 def test_landmarks_are_first_seen_in_the_frame_of_their_first_observation(tiny):
     run, given = tiny.runs["ekf"], tiny.record.given
-    for track, frame in zip(run.track[:20], tiny.shown.first_seen(run)[:20], strict=True):
+    for track, frame in zip(run.landmarks.track[:20], tiny.shown.first_seen(run)[:20], strict=True):
         assert frame == given.frame[given.track == track].min()

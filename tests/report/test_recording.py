@@ -10,12 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.evaluation.test_evaluation import circle, made_run
-from tests.records import made_record
+from tests.records import altered, made_record
 from vislam import compare, evaluate
 from vislam.base.errors import ConfigError
 from vislam.cli import command
 from vislam.core.record import Tracks
 from vislam.core.reference import Reference, truth_reference
+from vislam.core.trajectory import Poses
 from vislam.geometry import se3
 
 ROOT = Path(__file__).parents[2]
@@ -94,13 +95,7 @@ def far_reference(pose):
 def tilted(run):
     """The same run in a world whose z axis does not point up."""
     turn = se3.exp(np.array([0.4, -0.3, 0.0, 0.0, 0.0, 0.0]))
-    return replace(
-        run,
-        world_T_imu=turn @ run.world_T_imu,
-        world_T_imu_causal=turn @ run.world_T_imu_causal,
-        points_world=se3.transform(turn, run.points_world),
-        up=turn[:3, 2],
-    )
+    return replace(run, filtered=run.filtered.moved(turn), map=run.map.moved(turn), up=turn[:3, 2])
 
 
 def test_a_perfect_run_lies_on_its_reference_whatever_its_world(written):
@@ -172,7 +167,7 @@ def test_ellipsoids_are_those_of_the_point_that_is_drawn(written, rng):
     cov = root @ root.transpose(0, 2, 1)
     cov[[3, 17]] = np.nan
     reference = far_reference(pose)
-    read = written({"run": tilted(bare_run("run", pose, pose_cov=cov))}, reference)
+    read = written({"run": tilted(bare_run("run", pose, cov=cov))}, reference)
     rows = read.column("/run/position_3_sigma", "Ellipsoids3D:half_sizes")
     assert [len(row) for row in rows] == [0 if k in (3, 17) else 1 for k in range(FRAMES)]
     centres = read.column("/run/position_3_sigma", "Ellipsoids3D:centers")
@@ -212,8 +207,8 @@ def test_landmarks_come_with_the_frame_that_first_saw_them(written):
 def test_scalars_are_where_the_run_has_them(written):
     dof = np.where(np.arange(FRAMES) % 2, 0, 6)
     causal = circle(FRAMES, radius=51.0)
-    ekf = bare_run("ekf", circle(FRAMES), nis=2.0 * dof, dof=dof, world_T_imu_causal=causal)
-    late = replace(bare_run("late", circle(FRAMES), step_time=np.empty(0)), error="lost at frame 39")
+    ekf = bare_run("ekf", circle(FRAMES), nis=2.0 * dof, dof=dof, filtered=Poses(causal))
+    late = altered(bare_run("late", circle(FRAMES), step_time=np.empty(0)), error="lost at frame 39")
     read = written({"ekf": ekf, "late": late}, truth_reference(circle(FRAMES), np.arange(3), np.eye(3)))
     assert read.column("/ekf/nis_per_dof", "frame") == list(range(0, FRAMES, 2))
     assert np.allclose(read.values("/ekf/nis_per_dof", "Scalars:scalars"), 2.0)
@@ -223,7 +218,7 @@ def test_scalars_are_where_the_run_has_them(written):
 
 def test_the_text_says_what_the_pictures_do_not(written):
     notes = ("03.npz is missing: this is a stand-in",)
-    run = replace(bare_run("late", circle(FRAMES)), error="lost at frame 39")
+    run = altered(bare_run("late", circle(FRAMES)), error="lost at frame 39")
     read = written({"late": run}, far_reference(circle(FRAMES)), notes=notes, provenance={"cpu": "abacus"})
     ((text,),) = read.column("/about", "TextDocument:text")
     for said in (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
-from tests.records import made_record
+from tests.records import altered, made_record
 from vislam.core.record import Tracks
 from vislam.evaluation import evaluate
 from vislam.geometry import se3
@@ -24,7 +24,7 @@ def scattered(name, rng, *, sigma=SIGMA, claimed=SIGMA, **values):
     cov = np.broadcast_to(np.diag(claimed**2), (FRAMES, 6, 6))
     pose = se3.retract(truth, error)
     # What made the first pose certain makes it no claim.
-    return made_run(name, pose, pose_cov=cov, pose_cov_causal=cov, **values)
+    return made_run(name, pose, cov=cov, **values)
 
 
 def record(rng, **values):
@@ -79,9 +79,9 @@ def test_too_little_is_claimed_as_well(rng):
 
 def test_runs_that_part_are_named_with_the_surer_one(rng):
     sure = scattered("sure", rng, sigma=0.1 * SIGMA, claimed=0.1 * SIGMA)
-    moved = sure.world_T_imu.copy()
+    moved = sure.final.world_T_imu.copy()
     moved[60:, 0, 3] += 3.0
-    vague = replace(scattered("vague", rng), world_T_imu=moved, world_T_imu_causal=moved)
+    vague = altered(scattered("vague", rng), world_T_imu=moved)
     (parting,) = [text for text in said([sure, vague], record(rng)) if "contradict" in text]
     assert parting.startswith("sure and vague contradict each other from frame 60 on")
     assert "sure claims 0.01 times the variance of vague" in parting

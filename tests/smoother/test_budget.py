@@ -100,15 +100,15 @@ def test_a_run_whose_iterations_are_used_up_is_whole_and_says_so(name, simulated
     told = []
     free, cut = estimated(name, simulated), estimated(name, simulated, told.append, max_iterations=2)
     assert free.complete
-    assert free.counts["optimisation_iterations"] > 2
-    assert not free.events
+    assert free.log.counts["optimisation_iterations"] > 2
+    assert not free.log.events
     assert cut.complete
-    assert cut.counts["optimisation_iterations"] == 2
-    (event,) = cut.events
+    assert cut.log.counts["optimisation_iterations"] == 2
+    (event,) = cut.log.events
     assert event.startswith(f"{'gnc' if name == 'batch_gnc' else 'batch'}: stopped after 2 iterations")
     assert "(max_iterations), cost" in event
     assert "still falling by" in event
-    assert np.isfinite(cut.world_T_imu).all()
+    assert np.isfinite(cut.final.world_T_imu).all()
     assert [line.partition(": ")[2].partition(",")[0] for line in told] == [
         "iteration 1 of at most 2",
         "iteration 2 of at most 2",
@@ -123,8 +123,8 @@ def test_more_iterations_never_fit_worse(simulated):
 
 def test_a_budget_that_is_not_used_up_changes_nothing(simulated):
     one, other = (estimated("batch", simulated, **more) for more in ({}, {"max_iterations": ENDLESS}))
-    assert np.array_equal(one.world_T_imu, other.world_T_imu)
-    assert one.counts == other.counts
+    assert np.array_equal(one.final.world_T_imu, other.final.world_T_imu)
+    assert one.log.counts == other.log.counts
 
 
 @pytest.mark.parametrize("name", ["batch", "batch_gnc", "isam2"])
@@ -133,14 +133,14 @@ def test_a_time_budget_ends_it_too(name, simulated, monkeypatch):
     monkeypatch.setattr(descent, "time", SimpleNamespace(monotonic=itertools.count().__next__))
     found = estimated(name, simulated, final_iterations=10, budget_s=3.0)
     assert found.complete
-    assert any("iterations (budget_s)" in event for event in found.events)
+    assert any("iterations (budget_s)" in event for event in found.log.events)
 
 
 def test_smart_factors_are_bounded_as_well(simulated):
     found = estimated("batch", simulated, factors="smart", max_iterations=1)
     assert found.complete
-    assert found.counts["optimisation_iterations"] == 1
-    assert "batch: stopped after 1 iterations (max_iterations)" in found.events[0]
+    assert found.log.counts["optimisation_iterations"] == 1
+    assert "batch: stopped after 1 iterations (max_iterations)" in found.log.events[0]
 
 
 def test_ctrl_c_is_heard_between_iterations(simulated):

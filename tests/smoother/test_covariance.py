@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import drive, exact, filtered, member
+from vislam.core.step import TWIST_BIAS
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.keys import X
 from vislam.models import track_noise as noise
@@ -25,10 +26,10 @@ def test_without_errors_the_newest_poses_covariance_is_the_filters(name, monkeyp
     ekf = filtered(config, dataset)
     smoothed = member(name, config, dataset, pose_cov_every=1)
     assert smoothed.complete
-    assert relative(smoothed.pose_cov_causal[0], ekf.pose_cov_causal[0]) < 1e-6
+    assert relative(smoothed.filtered.covariances[0], ekf.filtered.covariances[0]) < 1e-6
     # A track waits for its second view, and one seen only once tells nothing about a pose.
-    assert relative(smoothed.pose_cov_causal, ekf.pose_cov_causal) < 1e-6
-    assert np.allclose(smoothed.bias_sigma, ekf.bias_sigma, rtol=1e-6)
+    assert relative(smoothed.filtered.covariances, ekf.filtered.covariances) < 1e-6
+    assert np.allclose(smoothed.states[TWIST_BIAS].sigma, ekf.states[TWIST_BIAS].sigma, rtol=1e-6)
 
 
 def test_within_its_lag_the_fixed_lag_smoother_knows_as_much(monkeypatch):
@@ -38,17 +39,17 @@ def test_within_its_lag_the_fixed_lag_smoother_knows_as_much(monkeypatch):
     # Marginals are exact where all is linearised at the truth, but for tracks longer than the lag.
     smoothed = member("fixed_lag", config, dataset, lag_s=1.0, pose_cov_every=1)
     assert smoothed.complete
-    assert relative(smoothed.pose_cov_causal, ekf.pose_cov_causal) < 1e-6
+    assert relative(smoothed.filtered.covariances, ekf.filtered.covariances) < 1e-6
 
 
 def test_covariances_are_given_only_where_they_were_asked_for():
     config, dataset = drive(seed=3, frames=15, tracks_in_view=15)
     seldom = member("isam2", config, dataset, pose_cov_every=5)
-    known = np.isfinite(seldom.pose_cov_causal).all(axis=(1, 2))
+    known = np.isfinite(seldom.filtered.covariances).all(axis=(1, 2))
     assert np.flatnonzero(known).tolist() == [0, 5, 10]
-    assert seldom.points_cov is None
+    assert seldom.landmarks.points_cov is None
     never = member("isam2", config, dataset)
-    assert not np.isfinite(never.pose_cov_causal).any()
+    assert not np.isfinite(never.filtered.covariances).any()
 
 
 @pytest.mark.parametrize("name", ["isam2", "batch"])
@@ -72,17 +73,17 @@ def test_final_marginals_are_those_of_the_whole_information_matrix(name, monkeyp
         at += len(values.zeroVectors().at(key))
     cov = np.linalg.inv(graph.linearize(values).hessian(ordering)[0])
     wanted = np.array([cov[start[key] : start[key] + 6, start[key] : start[key] + 6] for key in poses])
-    assert relative(run.pose_cov, wanted) < 1e-6
+    assert relative(run.final.covariances, wanted) < 1e-6
     wanted = np.array([cov[start[key] : start[key] + 3, start[key] : start[key] + 3] for key in landmarks])
-    assert len(wanted) == len(run.track)
-    assert relative(run.points_cov, wanted) < 1e-6
+    assert len(wanted) == len(run.landmarks.track)
+    assert relative(run.landmarks.points_cov, wanted) < 1e-6
 
 
 def test_the_newest_poses_marginal_is_the_last_of_the_final_ones():
     config, dataset = exact(seed=3, frames=20, tracks_in_view=20, depth_max=20.0)
     run = member("isam2", config, dataset, pose_cov_every=1, marginals="poses")
-    assert relative(run.pose_cov_causal[-1], run.pose_cov[-1]) < 1e-6
-    assert run.points_cov is None
+    assert relative(run.filtered.covariances[-1], run.final.covariances[-1]) < 1e-6
+    assert run.landmarks.points_cov is None
 
 
 def test_marginals_that_cholesky_refuses_come_from_qr(monkeypatch):
@@ -94,5 +95,5 @@ def test_marginals_that_cholesky_refuses_come_from_qr(monkeypatch):
 
     monkeypatch.setattr(gtsam, "Marginals", refuse)
     other = member("isam2", config, dataset, marginals="all")
-    assert relative(other.pose_cov, usual.pose_cov) < 1e-6
-    assert relative(other.points_cov, usual.points_cov) < 1e-6
+    assert relative(other.final.covariances, usual.final.covariances) < 1e-6
+    assert relative(other.landmarks.points_cov, usual.landmarks.points_cov) < 1e-6

@@ -13,6 +13,7 @@ from vislam.calibration.likelihood import first_frames
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import load
 from vislam.comparison.open import open_dataset
+from vislam.core.step import TWIST_BIAS
 from vislam.geometry import se3
 from vislam.models import track_noise as noise
 
@@ -26,7 +27,7 @@ def test_isam2_that_relinearises_to_the_end_equals_batch():
     batch = member("batch", config, dataset)
     assert incremental.complete
     assert batch.complete
-    angle, distance = gap(incremental.world_T_imu, batch.world_T_imu)
+    angle, distance = gap(incremental.final.world_T_imu, batch.final.world_T_imu)
     assert angle < 1e-7
     assert distance < 1e-6
 
@@ -40,7 +41,7 @@ def test_isam2_that_relinearises_to_the_end_equals_batch_on_the_recording():
     batch = member("batch", config, dataset)
     assert incremental.complete
     assert batch.complete
-    angle, distance = gap(incremental.world_T_imu, batch.world_T_imu)
+    angle, distance = gap(incremental.final.world_T_imu, batch.final.world_T_imu)
     assert angle < 1e-5
     assert distance < 1e-3
 
@@ -52,7 +53,7 @@ def most_probable(config, dataset):
     frames = list(sequence.frames(pixel_sigma(config, dataset)))
     count = len(frames)
     tracks, which = np.unique(sequence.track, return_inverse=True)
-    twist = np.array([frame.twist for frame in frames])[1:]
+    twist = np.array([frame.odometry.twist for frame in frames])[1:]
     dt = np.array([frame.dt for frame in frames])[1:, None]
     start = np.array([np.eye(4)] * count)
     for k in range(1, count):
@@ -100,13 +101,14 @@ def test_batch_equals_least_squares_of_scipy():
     dataset = replace(dataset, sequence=dataset.sequence.select(length[dataset.sequence.track] > 1))
     batch = member("batch", config, dataset)
     assert batch.used.all()
-    assert 8 <= len(batch.track) <= 20
+    assert 8 <= len(batch.landmarks.track) <= 20
     poses, bias, landmarks = most_probable(config, dataset)
-    assert max(gap(batch.world_T_imu, poses)) < 1e-7
-    found = np.array([landmarks[int(track)] for track in batch.track])
-    assert np.allclose(batch.points_world, found, atol=1e-6)
+    assert max(gap(batch.final.world_T_imu, poses)) < 1e-7
+    found = np.array([landmarks[int(track)] for track in batch.landmarks.track])
+    assert np.allclose(batch.landmarks.points_world, found, atol=1e-6)
     # That of the newest step is the posterior, too, but for its linearisation.
-    assert np.allclose(batch.bias[-1], bias[-1], atol=0.01 * np.array([0.02] * 3 + [0.05] * 3))
+    found = batch.states[TWIST_BIAS].value
+    assert np.allclose(found[-1], bias[-1], atol=0.01 * np.array([0.02] * 3 + [0.05] * 3))
 
 
 @pytest.mark.parametrize(("window", "wildfire", "within"), [(1000, 0.0, 1e-9), (5, 0.1, 1e-3)])
@@ -127,12 +129,13 @@ def test_a_lag_longer_than_the_drive_changes_nothing(window, wildfire, within):
     lagged = member("fixed_lag", config, dataset, lag_s=1e3, **same)
     assert whole.complete
     assert lagged.complete
-    assert max(gap(whole.world_T_imu_causal, lagged.world_T_imu_causal)) < within
-    assert max(gap(whole.world_T_imu, lagged.world_T_imu)) < within
-    assert np.allclose(whole.bias, lagged.bias, atol=within)
+    assert max(gap(whole.filtered.world_T_imu, lagged.filtered.world_T_imu)) < within
+    assert max(gap(whole.final.world_T_imu, lagged.final.world_T_imu)) < within
+    biases = [run.states[TWIST_BIAS].value for run in (whole, lagged)]
+    assert np.allclose(*biases, atol=within)
     assert np.array_equal(whole.used, lagged.used)
     once = member("isam2_norelin", config, dataset)
-    assert gap(once.world_T_imu_causal, lagged.world_T_imu_causal)[1] > 10.0 * within
+    assert gap(once.filtered.world_T_imu, lagged.filtered.world_T_imu)[1] > 10.0 * within
 
 
 @pytest.mark.parametrize("name", ["isam2_norelin", "isam2"])
@@ -155,8 +158,8 @@ def test_the_last_pose_is_the_filters_where_all_is_nearly_linear(name, monkeypat
     ekf = filtered(config, dataset)
     smoothed = member(name, config, dataset, wildfire_threshold=0.0)
     assert smoothed.complete
-    off = se3.local(ekf.world_T_imu[-1], smoothed.world_T_imu[-1])
-    assert np.all(np.abs(off) < 0.01 * np.sqrt(np.diagonal(ekf.pose_cov[-1])))
+    off = se3.local(ekf.final.world_T_imu[-1], smoothed.final.world_T_imu[-1])
+    assert np.all(np.abs(off) < 0.01 * np.sqrt(np.diagonal(ekf.final.covariances[-1])))
 
 
 def test_smart_factors_and_batch_with_the_same_noise_in_rows_and_columns_are_close():
@@ -165,9 +168,9 @@ def test_smart_factors_and_batch_with_the_same_noise_in_rows_and_columns_are_clo
     batch = member("batch", config, dataset, sigma=sigma)
     smart = member("batch", config, dataset, sigma=sigma, factors="smart")
     assert smart.complete
-    angle, distance = gap(batch.world_T_imu, smart.world_T_imu)
+    angle, distance = gap(batch.final.world_T_imu, smart.final.world_T_imu)
     # Smart factors triangulate linearly, which is not where the residuals are least.
     assert angle < 1e-5
     assert distance < 3e-4
-    assert np.array_equal(batch.track, smart.track)
-    assert np.allclose(batch.points_world, smart.points_world, atol=3e-3)
+    assert np.array_equal(batch.landmarks.track, smart.landmarks.track)
+    assert np.allclose(batch.landmarks.points_world, smart.landmarks.points_world, atol=3e-3)

@@ -8,7 +8,7 @@ from scipy.stats import chi
 
 from tests.smoother.drives import RIG
 from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.estimators.smoother.factors import _KERNELS, StereoFactors
 from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
 from vislam.estimators.smoother.motion import OdometryMotion
@@ -43,12 +43,14 @@ def frame(k, *, dt, twist=None, change=None, climb_rate=np.nan):
         k=k,
         stamp=float(k),
         dt=dt,
-        twist=np.zeros(6) if twist is None else twist,
-        twist_change=np.zeros(6) if change is None else change,
-        climb_rate=climb_rate,
-        track=np.empty(0, np.int64),
-        z=np.empty((0, 3)),
-        sigma=np.empty((0, 3)),
+        stereo=StereoFrame(
+            np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), usable=np.empty(0, bool)
+        ),
+        odometry=OdometryStep(
+            twist=np.zeros(6) if twist is None else twist,
+            twist_change=np.zeros(6) if change is None else change,
+            climb_rate=climb_rate,
+        ),
     )
 
 
@@ -164,7 +166,7 @@ def test_the_prior_of_the_bias_in_terms_of_the_first_twist(rng):
     first, second = two_frames(rng)
     prior = OdometryMotion(problem()).factors(second, first)[1]
     bias, values = rng.normal(size=6), gtsam.Values()
-    values.insert(W(1), second.twist - bias)
+    values.insert(W(1), second.odometry.twist - bias)
     assert np.isclose(prior.error(values), 0.5 * np.sum(((bias - BIAS_MEAN) / BIAS_SIGMA) ** 2))
     check_jacobians(prior, values)
 
@@ -174,8 +176,8 @@ def test_the_walk_of_the_bias_in_terms_of_the_twists(rng):
     third = frame(2, dt=0.2, twist=rng.normal(size=6))
     walk = OdometryMotion(problem()).factors(third, second)[1]
     bias, later, values = rng.normal(size=6), rng.normal(size=6), gtsam.Values()
-    values.insert(W(1), second.twist - bias)
-    values.insert(W(2), third.twist - later)
+    values.insert(W(1), second.odometry.twist - bias)
+    values.insert(W(2), third.odometry.twist - later)
     # The bias that acts over a step walks over the length of that step before the next has it.
     wanted = 0.5 * np.sum((later - bias) ** 2 / (second.dt * WALK**2))
     assert np.isclose(walk.error(values), wanted)
@@ -189,8 +191,8 @@ def test_the_clock_moves_the_twist_by_its_slope(rng):
     clock, bias, later = 0.007, rng.normal(size=6), rng.normal(size=6)
     values = gtsam.Values()
     values.insert(CLOCK, np.array([clock]))
-    values.insert(W(1), second.twist + clock * second.twist_change / second.dt - bias)
-    values.insert(W(2), third.twist + clock * third.twist_change / third.dt - later)
+    values.insert(W(1), second.odometry.twist + clock * second.odometry.twist_change / second.dt - bias)
+    values.insert(W(2), third.odometry.twist + clock * third.odometry.twist_change / third.dt - later)
     _, of_clock, of_bias = builder.factors(second, first)
     assert np.isclose(of_clock.error(values), 0.5 * (clock / 0.01) ** 2)
     assert np.isclose(of_bias.error(values), 0.5 * np.sum(((bias - BIAS_MEAN) / BIAS_SIGMA) ** 2))

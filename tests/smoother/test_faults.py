@@ -24,14 +24,14 @@ FAULTS = {
 
 def check_usable(run, frames):
     """Finite poses of all frames, or of all up to the error."""
-    assert np.isfinite(run.world_T_imu).all()
-    assert np.isfinite(run.world_T_imu_causal).all()
+    assert np.isfinite(run.final.world_T_imu).all()
+    assert np.isfinite(run.filtered.world_T_imu).all()
     assert run.frames_expected == frames
     if run.complete:
-        assert len(run.world_T_imu) == frames
+        assert len(run.final.world_T_imu) == frames
     else:
-        assert run.error.startswith(f"frame {len(run.world_T_imu)}: ")
-        assert len(run.error) > len("frame 00: ")
+        assert run.log.error.startswith(f"frame {len(run.final.world_T_imu)}: ")
+        assert len(run.log.error) > len("frame 00: ")
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.4])
@@ -62,8 +62,8 @@ def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, shar
     )
     check_usable(run, 120)
     assert run.complete
-    assert run.counts["rescues"] > 0
-    assert len(run.events) == run.counts["rescues"]
+    assert run.log.counts["rescues"] > 0
+    assert len(run.log.events) == run.log.counts["rescues"]
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -75,7 +75,7 @@ def test_a_fault_does_not_end_the_run(name, fault):
     check_usable(run, 60)
     assert run.complete
     if "tracks" in fault or "teleporting" in fault:
-        assert ate(run.world_T_imu, dataset) < 1.0
+        assert ate(run.final.world_T_imu, dataset) < 1.0
 
 
 @pytest.mark.parametrize("name", MEMBERS)
@@ -84,7 +84,7 @@ def test_twenty_frames_without_tracks_are_bridged(name):
     dataset = replace(dataset, sequence=drives.dark(30, 20)(dataset.sequence))
     run = member(name, config, dataset)
     assert run.complete
-    error = run.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
+    error = run.final.world_T_imu[:, :3, 3] - from_first(dataset.reference.pose)[:, :3, 3]
     assert np.abs(error).max() < 1.0
 
 
@@ -105,9 +105,9 @@ def test_a_robust_kernel_keeps_outliers_from_harming(name):
     for seed in (12, 13, 14):
         config, good = drive(seed=seed, frames=80, tracks_in_view=40)
         bad = with_outliers(good, 0.1)
-        without.append(ate(member(name, config, good, robust="cauchy").world_T_imu, good))
-        with_them.append(ate(member(name, config, bad, robust="cauchy").world_T_imu, bad))
-        assert ate(member(name, config, bad).world_T_imu, bad) > 3.0 * with_them[-1]
+        without.append(ate(member(name, config, good, robust="cauchy").final.world_T_imu, good))
+        with_them.append(ate(member(name, config, bad, robust="cauchy").final.world_T_imu, bad))
+        assert ate(member(name, config, bad).final.world_T_imu, bad) > 3.0 * with_them[-1]
     assert np.mean(with_them) < max(1.2 * np.mean(without), np.mean(without) + 0.01)
 
 
@@ -119,8 +119,8 @@ def test_gnc_finds_the_outliers():
     wrong = np.any(bad.sequence.pixels != good.sequence.pixels, axis=1)
     assert not run.used[wrong].any()
     assert run.used[~wrong].mean() > 0.9
-    assert 0.5 * wrong.sum() < run.counts["outliers"] < wrong.sum()
-    assert ate(run.world_T_imu, bad) < 0.5 * ate(member("batch", config, bad).world_T_imu, bad)
+    assert 0.5 * wrong.sum() < run.log.counts["outliers"] < wrong.sum()
+    assert ate(run.final.world_T_imu, bad) < 0.5 * ate(member("batch", config, bad).final.world_T_imu, bad)
 
 
 def test_tracks_that_are_never_clear_leave_dead_reckoning():
@@ -128,9 +128,9 @@ def test_tracks_that_are_never_clear_leave_dead_reckoning():
     run = member("isam2", config, dataset, start_clearance=1e6)
     assert run.complete
     assert not run.used.any()
-    assert len(run.track) == 0
-    assert run.counts["landmarks_too_weak"] == len(np.unique(dataset.sequence.track))
-    assert ate(run.world_T_imu, dataset) < 1.0
+    assert len(run.landmarks.track) == 0
+    assert run.log.counts["landmarks_too_weak"] == len(np.unique(dataset.sequence.track))
+    assert ate(run.final.world_T_imu, dataset) < 1.0
 
 
 def test_a_sequence_without_any_track_is_dead_reckoning():
@@ -140,4 +140,4 @@ def test_a_sequence_without_any_track_is_dead_reckoning():
     for name in MEMBERS:
         run = member(name, config, dataset, sigma=np.empty((0, 3)))
         assert run.complete
-        assert ate(run.world_T_imu, dataset) < 1.0
+        assert ate(run.final.world_T_imu, dataset) < 1.0

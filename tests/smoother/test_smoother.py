@@ -62,8 +62,8 @@ def test_smoothing_beats_filtering_on_the_past():
         return np.sqrt(np.mean((poses - from_first(dataset.reference.pose))[:, :3, 3] ** 2))
 
     assert smoothed.complete
-    assert error(smoothed.world_T_imu) < 0.05
-    assert error(smoothed.world_T_imu) <= 1.2 * error(smoothed.world_T_imu_causal)
+    assert error(smoothed.final.world_T_imu) < 0.05
+    assert error(smoothed.final.world_T_imu) <= 1.2 * error(smoothed.filtered.world_T_imu)
 
 
 @pytest.mark.parametrize("name", BUILD)
@@ -71,7 +71,7 @@ def test_refused_observations_are_not_fused(name, short: Dataset, short_config: 
     problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
     refused = np.arange(short.sequence.observations) % 7 == 0
     for estimator in (EkfEstimator(problem, EkfOptions()), BUILD[name](problem, {})):
-        result = run(estimator, short.sequence, sigma, name="any", refused=refused)
+        result = run(estimator, short.sequence, sigma, name="any", usable=~refused)
         assert result.complete
         assert result.used.any()
         assert not np.any(result.used & refused)
@@ -87,7 +87,7 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
     result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
     assert np.array_equal(result.used, dataset.sequence.mask_of(*kept[0].fused))
     assert len(kept[0].fused[0]) == result.used.sum()
-    assert set(dataset.sequence.track[result.used]) == set(result.track)
+    assert set(dataset.sequence.track[result.used]) == set(result.landmarks.track)
     assert not result.gated.any()
     if name in ("isam2", "isam2_norelin", "batch"):
         held = estimator._solver.engine.factors()
@@ -100,9 +100,9 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
 def test_a_track_that_waited_is_fused_with_all_its_views(simulated):
     config, dataset = simulated
     early, late = member("isam2", config, dataset), member("isam2", config, dataset, start_clearance=60.0)
-    assert late.counts["observations_used_late"] > early.counts["observations_used_late"]
+    assert late.log.counts["observations_used_late"] > early.log.counts["observations_used_late"]
     sequence = dataset.sequence
-    for track in late.track:
+    for track in late.landmarks.track:
         of_track = sequence.track == track
         assert late.used[of_track].all()
 
@@ -142,8 +142,8 @@ def test_without_relinearisation_a_lag_is_not_relinearised_either(simulated):
     never = member("fixed_lag", config, dataset, relinearize_every=0, lag_s=1e3, **small)
     once = member("isam2_norelin", config, dataset, factorization="qr", wildfire_threshold=0.0)
     often = member("fixed_lag", config, dataset, relinearize_every=1, lag_s=1e3, **small)
-    assert max(gap(never.world_T_imu_causal, once.world_T_imu_causal)) < 1e-2
-    assert max(gap(never.world_T_imu_causal, often.world_T_imu_causal)) > 1e-3
+    assert max(gap(never.filtered.world_T_imu, once.filtered.world_T_imu)) < 1e-2
+    assert max(gap(never.filtered.world_T_imu, often.filtered.world_T_imu)) > 1e-3
 
 
 REFUSED = [
@@ -182,7 +182,7 @@ def test_a_disparity_offset_is_refused(name, short, short_config):
 def test_every_kernel_runs_and_changes_little_on_good_data(kernel, simulated):
     plain, robust = member("isam2", *simulated), member("isam2", *simulated, robust=kernel)
     assert robust.complete
-    angle, distance = gap(plain.world_T_imu, robust.world_T_imu)
+    angle, distance = gap(plain.final.world_T_imu, robust.final.world_T_imu)
     assert angle < 0.01
     assert distance < 0.1
 
@@ -213,7 +213,7 @@ def test_the_climb_rate_holds_the_height():
     ):
         run = member(name, climbing, dataset, **options)
         assert run.complete
-        off = np.abs(run.levelled().world_T_imu[:, 2, 3] - height).max()
+        off = np.abs(run.levelled().final.world_T_imu[:, 2, 3] - height).max()
         assert off < limit
 
 
@@ -239,4 +239,4 @@ def test_a_bias_of_many_pixels_does_not_starve_the_smoother():
     found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
     assert found.complete
     assert found.used.mean() > 0.6
-    assert ate(found.world_T_imu, dataset) < 0.1
+    assert ate(found.final.world_T_imu, dataset) < 0.1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import vislam.study.trial
+from tests.records import altered
 from vislam.base.errors import Interrupted
 from vislam.comparison.identity import code_digest
 from vislam.study.points import Point
@@ -53,7 +54,7 @@ def test_an_incomplete_estimator_is_named_and_not_scored(tree, monkeypatch):
 
     def stopped(solver, *args, name, **kwargs):
         run = whole(solver, *args, name=name, **kwargs)
-        return replace(run, error="frame 7: lost") if name == "ekf" else run
+        return altered(run, error="frame 7: lost") if name == "ekf" else run
 
     monkeypatch.setattr(vislam.comparison.running.loop, "run", stopped)
     found = run_trial(tree, 0)

@@ -17,6 +17,7 @@ from vislam.calibration.workers import Workers
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
+from vislam.core.step import TWIST_BIAS
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3
@@ -156,11 +157,11 @@ def _calibrate(
     for choice in range(1, _CHOICES + 1):
         current = MATCH.write(current, match.pixels)
         run = _finished(evaluator.run(current))
-        refused = run.gated
+        usable = ~run.gated
         start = current
 
-        def evaluate(points: list[Array], start: Config = start, refused: BoolArray = refused) -> list[Array]:
-            return evaluator.log_likelihoods([_at(start, chosen, point) for point in points], refused=refused)
+        def evaluate(points: list[Array], start: Config = start, usable: BoolArray = usable) -> list[Array]:
+            return evaluator.log_likelihoods([_at(start, chosen, point) for point in points], usable=usable)
 
         def ended(found: Round, start: Config = start, choice: int = choice) -> None:
             reporter.round(_at(start, chosen, found.point), found, choice=choice)
@@ -176,7 +177,7 @@ def _calibrate(
         )
         current = _at(current, chosen, maximum.point)
         run = _finished(evaluator.run(current))
-        changed = int(np.sum(run.gated != refused))
+        changed = int(np.sum(run.gated == usable))
         reporter.say(
             f"choice {choice} of observations: {maximum.rounds} rounds, "
             f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {run.nis_per_dof:.3f}, "
@@ -185,7 +186,7 @@ def _calibrate(
         # The level of the match was read off with the noise from before this choice.
         again = match_level(current, evaluator)
         match_rests = abs(again.pixels - match.pixels) <= _MATCH_RESTS * again.sigma
-        if (changed <= _RESTS * len(refused) and match_rests) or choice == _CHOICES:
+        if (changed <= _RESTS * len(usable) and match_rests) or choice == _CHOICES:
             break
         match = again
     current, run = _levelled(current, evaluator, run, reporter)
@@ -239,8 +240,9 @@ def _bias(config: Config, evaluator: Evaluator, run: Run) -> tuple[Array, Array]
     config, the maximum of the same likelihood.
     """
     steady = replace(config, noise=replace(config.noise, bias_walk=(0.0,) * 6))
-    last = _finished(evaluator.run(steady, refused=run.gated))
-    return last.bias[-1], last.bias_sigma[-1]
+    last = _finished(evaluator.run(steady, usable=~run.gated))
+    bias = last.states[TWIST_BIAS]
+    return bias.value[-1], bias.sigma[-1]
 
 
 def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:
@@ -251,7 +253,7 @@ def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:
 
 def _finished(run: Run) -> Run:
     if not run.complete:
-        raise DivergedError(f"the filter did not finish, so there is no likelihood: {run.error}")
+        raise DivergedError(f"the filter did not finish, so there is no likelihood: {run.log.error}")
     return run
 
 

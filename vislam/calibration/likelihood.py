@@ -39,9 +39,9 @@ class Evaluator:
     base: Config
     workers: Workers | None = None
 
-    def run(self, config: Config, *, refused: BoolArray | None = None) -> Run:
-        """Run the filter; with ``refused (n,)`` given, that choice of observations replaces the gate."""
-        return _filter(self._moved(config), config, refused)
+    def run(self, config: Config, *, usable: BoolArray | None = None) -> Run:
+        """Run the filter; with ``usable (n,)`` given, that choice of observations replaces the gate."""
+        return _filter(self._moved(config), config, usable)
 
     def match_errors(self, config: Config) -> tuple[IntArray, Array, Array]:
         """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
@@ -50,9 +50,9 @@ class Evaluator:
         _run(solver, dataset, config, None)
         return solver.match_errors()
 
-    def log_likelihoods(self, configs: Items[Config], *, refused: BoolArray) -> list[Array]:
+    def log_likelihoods(self, configs: Items[Config], *, usable: BoolArray) -> list[Array]:
         """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
-        jobs = [(self._moved(config), config, refused) for config in configs]
+        jobs = [(self._moved(config), config, usable) for config in configs]
         if self.workers is None:
             return [_log_likelihood(job) for job in jobs]
         return self.workers.map(_log_likelihood, jobs)
@@ -76,18 +76,18 @@ def first_frames(sequence: Sequence, frames: int) -> Sequence:
     return sequence.first(frames)
 
 
-def _filter(dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
-    solver = EkfEstimator(make_problem(config, dataset), replace(_OPTIONS, gate=refused is None))
-    return _run(solver, dataset, config, refused)
+def _filter(dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:
+    solver = EkfEstimator(make_problem(config, dataset), replace(_OPTIONS, gate=usable is None))
+    return _run(solver, dataset, config, usable)
 
 
-def _run(solver: EkfEstimator, dataset: Dataset, config: Config, refused: BoolArray | None) -> Run:
+def _run(solver: EkfEstimator, dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:
     sigma = pixel_sigma(config, dataset)
     return loop.run(
-        solver, dataset.sequence, sigma, name="ekf", refused=refused, blas_threads=config.blas_threads
+        solver, dataset.sequence, sigma, name="ekf", usable=usable, blas_threads=config.blas_threads
     )
 
 
 def _log_likelihood(job: tuple[Dataset, Config, BoolArray]) -> Array:
     run = _filter(*job)
-    return run.log_likelihood if run.complete else np.full(run.frames_expected, -np.inf)
+    return run.innovations.log_likelihood if run.complete else np.full(run.frames_expected, -np.inf)

@@ -137,7 +137,8 @@ class _Judge:
     def verdict(self, check: Check) -> Verdict:
         incomplete = [name for name in check.runs if not self.runs[name].complete]
         if incomplete:
-            return _verdict(check, False, f"{incomplete[0]} is incomplete: {self.runs[incomplete[0]].error}")
+            error = self.runs[incomplete[0]].log.error
+            return _verdict(check, False, f"{incomplete[0]} is incomplete: {error}")
         return self._test(check) if check.test is not None else self._bound(check)
 
     def _bound(self, check: Check) -> Verdict:

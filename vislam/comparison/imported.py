@@ -12,7 +12,8 @@ from vislam.base.errors import ConfigError, DataError
 from vislam.comparison import config as configuration
 from vislam.comparison.results import Results
 from vislam.core.record import Record
-from vislam.core.run import Run
+from vislam.core.run import Cost, Innovations, Log, Run
+from vislam.core.trajectory import Poses
 from vislam.datasets.settings import ReferenceConfig
 from vislam.datasets.trajectories import load_reference
 from vislam.geometry import se3
@@ -54,32 +55,18 @@ def load_trajectory(name: str, config: ReferenceConfig, record: Record) -> Run:
     assert read.pose is not None
     poses = read.pose @ se3.inverse(read.imu_T_point)
     frames = len(poses)
-    unknown = np.full((frames, 6, 6), np.nan)
+    unfused = np.zeros(len(record.given.track), bool)
     return Run(
         name=name,
-        error="",
         frames_expected=frames,
         frame=read.frame,
         stamp=record.stamp[read.frame],
-        world_T_imu=poses,
-        world_T_imu_causal=poses,
-        pose_cov=unknown,
-        pose_cov_causal=unknown,
-        bias=np.full((frames, 6), np.nan),
-        bias_sigma=np.full((frames, 6), np.nan),
-        nis=np.zeros(frames),
-        dof=np.zeros(frames, np.int64),
-        log_likelihood=np.full(frames, np.nan),
-        world_gained=np.full((frames, 6), np.nan),
-        step_time=np.empty(0),
-        total_time=float("nan"),
-        peak_rss=0,
-        used=np.zeros(len(record.given.track), bool),
-        gated=np.zeros(len(record.given.track), bool),
-        track=np.empty(0, np.int64),
-        points_world=np.empty((0, 3)),
-        points_cov=None,
-        counts={"frames_without_a_pose": len(record.stamp) - frames},
+        filtered=Poses(poses),
+        innovations=Innovations.unknown(frames),
+        used=unfused,
+        gated=unfused,
+        cost=Cost(total_time=float("nan")),
+        log=Log(counts={"frames_without_a_pose": len(record.stamp) - frames}),
         blind=True,
     )
 

@@ -75,10 +75,10 @@ class FolderKeeper:
         run.save(self._path(run.name, preparatory=preparatory))
         if preparatory or not len(run.stamp):
             return
-        write_tum(self.folder / f"{run.name}.tum", run.stamp, run.world_T_imu)
-        write_kitti(self.folder / f"{run.name}_kitti.txt", run.world_T_imu)
+        write_tum(self.folder / f"{run.name}.tum", run.stamp, run.final.world_T_imu)
+        write_kitti(self.folder / f"{run.name}_kitti.txt", run.final.world_T_imu)
         write_npz(self.folder / f"{run.name}_trajectory.npz", run)
-        write_ply(self.folder / f"{run.name}.ply", run.points_world)
+        write_ply(self.folder / f"{run.name}.ply", run.landmarks.points_world)
 
     def clear(self) -> None:
         """Remove the runs of earlier starts, if it is to start afresh."""

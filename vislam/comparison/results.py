@@ -18,7 +18,7 @@ from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.keeping import RUNS
 from vislam.core.record import Record
-from vislam.core.run import Run
+from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
 from vislam.report.figures import all_figures
@@ -98,7 +98,7 @@ def _load_run(folder: Path, name: str, record: Record) -> Run:
     if not os.path.lexists(path):
         reason = "not run; run the comparison again to go on with it"
         frames, observations = len(record.stamp), len(record.given.track)
-        return Run.without_frames(name, reason, frames_expected=frames, observations=observations)
+        return Run.without_frames(name, Log(error=reason), frames_expected=frames, observations=observations)
     run = Run.load(path)
     record.refuse_other(run, path=path)
     return run
@@ -206,12 +206,12 @@ def metrics_document(
         "runs": {
             name: {
                 "complete": run.complete,
-                "error": run.error,
+                "error": run.log.error,
                 "degenerate": list(evaluation.degenerate(name)),
                 "frames": len(run.stamp),
-                "counts": run.counts,
+                "counts": run.log.counts,
                 "listed_not_fused": not_fused.get(name),
-                "events": list(run.events),
+                "events": list(run.log.events),
             }
             for name, run in results.runs.items()
         },
@@ -234,8 +234,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         progress.note(told)
     for name, run in results.runs.items():
         if not run.complete:
-            progress.note(f"{name} is incomplete: {run.error}")
-            _log.info("%s: %s", name, run.traceback)
+            progress.note(f"{name} is incomplete: {run.log.error}")
+            _log.info("%s: %s", name, run.log.traceback)
     for name in results.runs:
         for reason in published.evaluation.degenerate(name):
             progress.note(f"{name} is degenerate and not ranked: {reason}")

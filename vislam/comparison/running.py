@@ -1,4 +1,4 @@
-"""The order in which the estimators of a comparison run, what each of them is refused, and what is kept."""
+"""The order in which the estimators of a comparison run, what each of them may fuse, and what is kept."""
 
 import hashlib
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ class Runner:
     keeper : Keeper
         Is given each run as soon as it has ended, and may have it from an earlier start.
     identity : str
-        Hash of all that decides the runs but what each is refused.
+        Hash of all that decides the runs but what each may fuse.
     """
 
     sequence: Sequence
@@ -63,10 +63,12 @@ class Runner:
         """
         kept = np.ones(self.sequence.observations, bool)
         for name in by:
-            found = self._found(estimators[name], name, ~kept, preparatory=True)
+            found = self._found(estimators[name], name, kept, preparatory=True)
             self.keeper.keep(found, preparatory=True)
             if not found.complete:
-                raise DivergedError(f"frozen_by: {name} is incomplete, so there is no list: {found.error}")
+                raise DivergedError(
+                    f"frozen_by: {name} is incomplete, so there is no list: {found.log.error}"
+                )
             kept &= found.used
             if not kept.any():
                 raise ConfigError(f"frozen_by: {name} has fused no observation that those before it fused")
@@ -81,25 +83,25 @@ class Runner:
     ) -> tuple[dict[str, Run], bool]:
         """Run the estimators one after the other, and whether it was interrupted.
 
-        With a frozen list, what is not on it is refused to all that it binds. Without one, what
-        ``gates_from`` gates is refused to all that follow.
+        With a frozen list, only what is on it is usable for all that it binds. Without one, what
+        ``gates_from`` gates is not usable for all that follow.
 
         Each run is kept as soon as it has ended, whatever becomes of those after it. One that was interrupted
         keeps the frames that it had done; those that were not reached have none.
         """
-        nothing = np.zeros(self.sequence.observations, bool)
-        refused = nothing if frozen is None else ~frozen.kept
+        everything = np.ones(self.sequence.observations, bool)
+        usable = everything if frozen is None else frozen.kept
         runs: dict[str, Run] = {}
         kept: set[str] = set()
         interrupted = False
         try:
             for name, solver in estimators.items():
                 exempt = frozen is not None and name in frozen.exempt
-                runs[name] = self._found(solver, name, nothing if exempt else refused)
+                runs[name] = self._found(solver, name, everything if exempt else usable)
                 self.keeper.keep(runs[name])
                 kept.add(name)
                 if frozen is None and name == gates_from:
-                    refused = runs[name].gated
+                    usable = ~runs[name].gated
         except loop.RunInterrupted as stop:
             runs[stop.run.name], interrupted = stop.run, True
         except Interrupted:
@@ -113,10 +115,10 @@ class Runner:
         }, interrupted
 
     def _found(
-        self, solver: Estimator | Unbuilt, name: str, refused: BoolArray, *, preparatory: bool = False
+        self, solver: Estimator | Unbuilt, name: str, usable: BoolArray, *, preparatory: bool = False
     ) -> Run:
         """Run of an earlier start, or of this one."""
-        text = f"{self.identity}|{name}|".encode() + np.packbits(refused).tobytes()
+        text = f"{self.identity}|{name}|".encode() + np.packbits(usable).tobytes()
         identity = hashlib.sha256(text).hexdigest()[:_IDENTITY_DIGITS]
         kept = self.keeper.find(name, identity=identity, preparatory=preparatory)
         if kept is not None:
@@ -130,7 +132,7 @@ class Runner:
                 self.sequence,
                 self.sigma,
                 name=name,
-                refused=refused,
+                usable=usable,
                 on_frame=lambda k: bar.done(k + 1),
                 blas_threads=self.blas_threads,
             )

@@ -1,4 +1,4 @@
-"""The reader of saved archives: what it returns is as a table has it, field by field.
+"""Saved archives of dataclasses: fields under dotted names, read back as a table has them, one by one.
 
 Every header is checked before memory is taken, so that a small file cannot claim a large array; nothing is
 unpickled.
@@ -9,7 +9,8 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,11 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from vislam.base.errors import DataError, first_line
-from vislam.base.files import PLAIN
+from vislam.base.files import PLAIN, save_archive
 from vislam.base.legible import brief
 from vislam.base.npy import ArrayError, PackedArray, open_array
-from vislam.base.types import BoolArray
-from vislam.core.schema import Item, Numbers, Plain, Section, Table
+from vislam.base.types import Array, BoolArray
+from vislam.core.schema import SHORT_NAME, Each, Item, Numbers, Plain, Section, Table
 
 Tree = dict[str, Any]
 
@@ -45,6 +46,28 @@ _WORDS = {"real": "real numbers", "whole": "whole numbers", "mask": "booleans"}
 _BROKEN = (EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged archive raises, as a member that is encrypted or that ends early."""
 _MISSING, _BELOW_NULL = object(), object()
+
+
+def write_archive(path: Path, value: Any) -> None:
+    """Write a dataclass as one file, whole or not at all: its arrays, those of its parts, and plain data."""
+    arrays: dict[str, Array] = {}
+    plain = _taken_apart(value, arrays, at="")
+    save_archive(path, plain, arrays)
+
+
+def _taken_apart(value: Any, arrays: dict[str, Array], *, at: str) -> Any:
+    """Plain data of a tree of dataclasses; its arrays go to ``arrays`` by their dotted path."""
+    if isinstance(value, np.ndarray):
+        arrays[at] = value
+        return {"array": at}
+    if is_dataclass(value):
+        value = {item.name: getattr(value, item.name) for item in fields(value)}
+    below = f"{at}." if at else ""
+    if isinstance(value, dict):
+        return {key: _taken_apart(item, arrays, at=f"{below}{key}") for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [_taken_apart(item, arrays, at=f"{below}{index}") for index, item in enumerate(value)]
+    return value
 
 
 class _Wrong(Exception):
@@ -90,13 +113,15 @@ def read_archive(path: Path, table: Table, *, what: str) -> Tree:
 
 class _Reader:
     def __init__(self, archive: zipfile.ZipFile, table: Table) -> None:
-        self._archive, self._table = archive, table
+        self._archive, self._written = archive, table
+        self._table: dict[str, Item] = {}
         self._names = [name.removesuffix(".npy") for name in archive.namelist()]
         # Size of each letter, and the field that has set it.
         self._sizes: dict[str, tuple[int, str]] = {}
 
     def tree(self) -> Tree:
         plain = self._plain()
+        self._table = dict(_expanded(self._written, plain))
         self._refuse_unknown(plain)
         values, packed = Tree(), dict[str, PackedArray]()
         for name, item in self._table.items():
@@ -137,7 +162,7 @@ class _Reader:
 
     def _refuse_unknown(self, plain: Tree) -> None:
         sections = [name for name, item in self._table.items() if isinstance(item, Section)]
-        below = [f"{name}.{key}" for name in sections for key in _children(plain.get(name), keys=True)]
+        below = [f"{name}.{key}" for name in sections for key in _children(_look_up(plain, name), keys=True)]
         for name in [*plain, *below, *self._names]:
             if name not in self._table and name != PLAIN:
                 raise _Wrong(f"an unknown field '{brief(name)}'")
@@ -198,6 +223,19 @@ class _Reader:
         return values
 
 
+def _expanded(table: Table, plain: Tree) -> Iterator[tuple[str, Item]]:
+    """Lines of a table, with those of the sections whose names plain data give."""
+    for name, item in table.items():
+        if not isinstance(item, Each):
+            yield name, item
+            continue
+        keys = [str(key) for key in _children(_look_up(plain, name), keys=True)]
+        for key in keys:
+            if not SHORT_NAME.fullmatch(key):
+                raise _Wrong(f"'{name}' with the name '{brief(key)}'")
+        yield from item.expanded(name, keys)
+
+
 def _look_up(plain: Tree, dotted: str) -> Any:
     """Value at a dotted path; whether it is missing, or in a section that is null."""
     value: Any = plain
@@ -242,8 +280,11 @@ def _nested(table: Table, values: Tree) -> Tree:
     tree = Tree()
     for name in table:
         if name in values:
-            section, _, last = name.rpartition(".")
-            (tree[section] if section else tree)[last] = values[name]
+            *sections, last = name.split(".")
+            inside = tree
+            for section in sections:
+                inside = inside[section]
+            inside[last] = values[name]
     return tree
 
 

@@ -4,17 +4,16 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from typing import Any, Protocol, get_type_hints
 
-import numpy as np
-
 from vislam.base.errors import ConfigError
 from vislam.base.settings import parse
-from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.sequence import Frame
+from vislam.base.types import Array
+from vislam.core.frame import Frame
+from vislam.core.step import Final, Step
 from vislam.models import StereoRig, TrackNoise
 from vislam.models.odometry import MotionNoise
 
@@ -82,85 +81,6 @@ class Problem:
     climb: ClimbNoise | None = None
 
 
-@dataclass(frozen=True)
-class StepRecord:
-    """What an estimator knows at a frame; what it does not know may be left out.
-
-    Attributes
-    ----------
-    world_T_imu : (4, 4)
-    pose_cov : (6, 6) or None
-        Covariance of the pose, on its right.
-    bias, bias_sigma : (6,) or None
-        Twist bias and its standard deviation [rad/s, m/s].
-    nis, dof : float, int
-        Normalised innovation squared of the accepted observations and its degrees of freedom.
-    log_likelihood : float
-        Logarithm of the density of their innovations; NaN where the estimator does not have it.
-    used : (n,) or None
-        Which of the frame's observations were fused, as far as is known at the frame; None: none was.
-    gated : (n,) or None
-        Which of them the estimator itself refused; None: none.
-    world_gained : (6,) or None
-        Information that the step gained on motions (omega, v) of the world, by the estimator's own Jacobians:
-        more than none is information from nowhere [1/rad^2, 1/m^2]. None where it is not measured.
-    """
-
-    world_T_imu: Array
-    pose_cov: Array | None = None
-    bias: Array | None = None
-    bias_sigma: Array | None = None
-    nis: float = 0.0
-    dof: int = 0
-    log_likelihood: float = float("nan")
-    used: BoolArray | None = None
-    gated: BoolArray | None = None
-    world_gained: Array | None = None
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What an estimator knows in the end; what it does not know may be left out.
-
-    Attributes
-    ----------
-    world_T_imu : (T, 4, 4) or None
-        The poses; None: they are those of the steps.
-    pose_cov : (T, 6, 6) or None
-        Covariances of these poses, on the right; None if unknown, or if the poses are the causal ones.
-    track : (m,)
-        Ids of the landmarks.
-    points_world : (m, 3)
-        Landmarks [m].
-    points_cov : (m, 3, 3) or None
-        Their marginal covariances [m^2].
-    counts : dict
-        What was dropped, waited for, rescued.
-    up : (3,) or None
-        Direction of up in the world; None if not estimated.
-    fused : tuple of (m,), (m,) or None
-        Frame index and track id of every observation that the estimate rests on, in any order; None where
-        the ``used`` of the frames is the last word. For who fuses observations of earlier frames, or takes
-        some out again.
-    events : tuple of str
-        One line for each thing out of the ordinary that it had to do, such as a rescue.
-    fit : tuple of float, int or None
-        Sum of the squares of all residuals of the estimate, each by its noise, and how many more there are
-        than unknowns; None where that is no chi-square number.
-    """
-
-    world_T_imu: Array | None = None
-    pose_cov: Array | None = None
-    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
-    points_cov: Array | None = None
-    counts: dict[str, int] = field(default_factory=dict)
-    up: Array | None = None
-    fused: tuple[IntArray, IntArray] | None = None
-    events: tuple[str, ...] = ()
-    fit: tuple[float, int] | None = None
-
-
 class Estimator(Protocol):
     """What is built from a :class:`Problem` and options, fed frames in order, then asked for its end.
 
@@ -168,12 +88,12 @@ class Estimator(Protocol):
     no observation in the end is reported as degenerate.
     """
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
-        """Take one frame; ``refused (n,)`` marks observations that a shared gate has taken out."""
+    def process(self, frame: Frame) -> Step:
+        """Take one frame; of its observations those that ``frame.stereo.usable`` marks, and no other."""
         ...
 
-    def finalize(self) -> Estimate:
-        """Return the estimate after the last frame."""
+    def finalize(self) -> Final:
+        """Return the final estimate after the last frame."""
         ...
 
 

@@ -1,17 +1,16 @@
 """What evaluation and report know of a drive beside its runs, saved with them: nobody needs the recording."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from vislam.base.errors import DataError
-from vislam.base.files import save_archive
 from vislam.base.legible import brief
 from vislam.base.types import Array, IntArray
-from vislam.core.archive import read_archive
+from vislam.core.archive import read_archive, write_archive
 from vislam.core.observation_set import FrozenList
 from vislam.core.reference import Reference
 from vislam.core.run import Run
@@ -155,11 +154,7 @@ class Record:
 
     def save(self, path: Path) -> None:
         """Write the record, whole or not at all."""
-        tree = {item.name: getattr(self, item.name) for item in fields(self)}
-        tree["repairs"] = [asdict(step) for step in self.repairs]
-        arrays: dict[str, Array] = {}
-        plain = _take_apart(tree, arrays, at="")
-        save_archive(path, plain, arrays)
+        write_archive(path, self)
 
     @classmethod
     def load(cls, path: Path) -> "Record":
@@ -202,16 +197,3 @@ class Record:
 def _is_whole(reference: Reference) -> bool:
     """Whether the positions of a reference are those of its poses, if it has any."""
     return reference.pose is None or np.array_equal(reference.position, reference.pose[:, :3, 3])
-
-
-def _take_apart(value: Any, arrays: dict[str, Array], *, at: str) -> Any:
-    """Plain data of a tree of dataclasses; its arrays go to ``arrays`` by their dotted path."""
-    if isinstance(value, np.ndarray):
-        arrays[at] = value
-        return {"array": at}
-    if hasattr(value, "__dataclass_fields__"):
-        value = {name: getattr(value, name) for name in value.__dataclass_fields__}
-    if isinstance(value, dict):
-        below = f"{at}." if at else ""
-        return {key: _take_apart(item, arrays, at=f"{below}{key}") for key, item in value.items()}
-    return value

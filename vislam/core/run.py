@@ -1,13 +1,14 @@
 """A finished run of an estimator: all that evaluation ever sees of it, saved and loaded as one file."""
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from vislam.base.files import save_archive
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.archive import read_archive
+from vislam.core.archive import read_archive, write_archive
 from vislam.core.schema import (
     DIRECTION,
     IDS,
@@ -16,97 +17,178 @@ from vislam.core.schema import (
     RIGID,
     UNIQUE,
     Count,
+    Each,
     Level,
     Plain,
+    Section,
     Table,
     mask,
     real,
     whole,
 )
+from vislam.core.trajectory import Landmarks, Poses
 from vislam.geometry import se3, so3
 
 _TABLE: Table = {
     "name": Plain(str),
-    "error": Plain(str),
     "frames_expected": Plain(Count),
     "frame": whole("T", INCREASING, NOT_NEGATIVE),
     "stamp": real("T", INCREASING),
-    "world_T_imu": real("T 4 4", RIGID),
-    "world_T_imu_causal": real("T 4 4", RIGID),
-    "pose_cov": real("T 6 6", gaps=True),
-    "pose_cov_causal": real("T 6 6", gaps=True),
-    "bias": real("T 6", gaps=True),
-    "bias_sigma": real("T 6", gaps=True),
-    "nis": real("T"),
-    "dof": whole("T"),
-    "log_likelihood": real("T", gaps=True),
-    "world_gained": real("T 6", gaps=True),
-    "step_time": real("T", NOT_NEGATIVE),
-    "total_time": Plain(Level),
-    "peak_rss": Plain(Count),
+    "filtered": Section(),
+    "filtered.world_T_imu": real("T 4 4", RIGID),
+    "filtered.cov": real("T 6 6", gaps=True, optional=True),
+    "smoothed": Section(optional=True),
+    "smoothed.world_T_imu": real("T 4 4", RIGID),
+    "smoothed.cov": real("T 6 6", gaps=True, optional=True),
+    "states": Each({"value": real("T *", gaps=True), "sigma": real("T *", gaps=True)}),
+    "innovations": Section(),
+    "innovations.nis": real("T"),
+    "innovations.dof": whole("T"),
+    "innovations.log_likelihood": real("T", gaps=True),
+    "innovations.world_gained": real("T 6", gaps=True),
+    "cost": Section(),
+    "cost.step_time": real("T", NOT_NEGATIVE),
+    "cost.total_time": Plain(Level),
+    "cost.peak_rss": Plain(Count),
     "used": mask("n"),
     "gated": mask("n"),
-    "track": whole("m", UNIQUE, IDS),
-    "points_world": real("m 3"),
-    "points_cov": real("m 3 3", gaps=True, optional=True),
-    "counts": Plain(dict[str, int]),
+    "map": Section(optional=True),
+    "map.track": whole("m", UNIQUE, IDS),
+    "map.points_world": real("m 3"),
+    "map.points_cov": real("m 3 3", gaps=True, optional=True),
+    "log": Section(),
+    "log.error": Plain(str),
+    "log.traceback": Plain(str),
+    "log.counts": Plain(dict[str, int]),
+    "log.events": Plain(tuple[str, ...]),
     "up": real("3", DIRECTION),
-    "events": Plain(tuple[str, ...]),
     "fit": Plain(tuple[Level, int] | None),
-    "traceback": Plain(str, later=True),
-    "blind": Plain(bool, later=True),
-    "identity": Plain(str, later=True),
+    "blind": Plain(bool),
+    "identity": Plain(str),
 }
 """The fields of a saved run: type, shape and range of each, a letter for each size."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """What an estimator said, frame by frame and in the end.
+class StateHistory:
+    """A part of the state beside pose and landmarks, frame by frame.
 
     Attributes
     ----------
-    name : str
-    error : str
-        Why it stopped early; empty for a complete run.
-    frames_expected : int
-    frame : (T,)
-        Indices of the frames it has poses of, increasing; of an estimator's, the first T.
-    stamp : (T,)
-        Camera times of these frames [s].
-    world_T_imu, world_T_imu_causal : (T, 4, 4)
-        Poses as known in the end, and as known at their own time.
-    pose_cov, pose_cov_causal : (T, 6, 6)
-        Covariances of these poses, on their right; NaN where not given.
-    bias, bias_sigma : (T, 6)
-        Twist bias at each time and its standard deviation [rad/s, m/s]; NaN where not given.
+    value, sigma : (T, m)
+        Filtered values and their estimated standard deviations; NaN where not given.
+    """
+
+    value: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """How the observations met what was predicted of them, frame by frame.
+
+    Attributes
+    ----------
     nis, dof : (T,)
         Normalised innovation squared and its degrees of freedom.
     log_likelihood : (T,)
         Logarithm of the density of the innovations; NaN where not given.
     world_gained : (T, 6)
-        Information gained at each frame on motions (omega, v) of the world, which no measurement can tell, by
+        Information gained at each frame on motions (omega, v) of the world, which no measurement holds, by
         the estimator's own Jacobians [1/rad^2, 1/m^2]; NaN where not given.
+    """
+
+    nis: Array
+    dof: IntArray
+    log_likelihood: Array
+    world_gained: Array
+
+    @classmethod
+    def unknown(cls, frames: int) -> "Innovations":
+        """Nothing was fused, or nothing is known of it."""
+        unknown = np.full((frames, 7), np.nan)
+        return cls(np.zeros(frames), np.zeros(frames, np.int64), unknown[:, 0], unknown[:, 1:])
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run took.
+
+    Attributes
+    ----------
     step_time : (T,)
-        Time of each step [s].
+        Time of each step [s]; empty where it is not known.
     total_time : float
         Time of all steps and of the final estimate [s].
     peak_rss : int
         Largest resident memory while it ran [bytes].
-    used, gated : (n,)
-        Which observations of the sequence the final estimate has fused, and which the estimator refused.
-    track, points_world, points_cov : (m,), (m, 3), (m, 3, 3) or None
-        Landmarks [m].
-    counts : dict
-        What was dropped, waited for, rescued.
-    up : (3,)
-        Direction of up in the world; z where the estimator does not know better.
-    events : tuple of str
-        One line for each thing out of the ordinary that the estimator had to do.
-    fit : tuple of float, int or None
-        Sum of the squared residuals of the final estimate, each by its noise, and its degrees of freedom.
+    """
+
+    step_time: Array = field(default_factory=lambda: np.empty(0))
+    total_time: float = 0.0
+    peak_rss: int = 0
+
+
+@dataclass(frozen=True)
+class Log:
+    """What there is to report of how a run went.
+
+    Attributes
+    ----------
+    error : str
+        Why it stopped early; empty for a complete run.
     traceback : str
         Where in the code it stopped early; empty for a complete run.
+    counts : dict
+        What was dropped, waited for, recovered from.
+    events : tuple of str
+        One line for each thing out of the ordinary that the estimator had to do.
+    """
+
+    error: str = ""
+    traceback: str = ""
+    counts: dict[str, int] = field(default_factory=dict)
+    events: tuple[str, ...] = ()
+
+
+_PARTS: dict[str, Callable[..., Any]] = {
+    "filtered": Poses,
+    "smoothed": Poses,
+    "innovations": Innovations,
+    "cost": Cost,
+    "map": Landmarks,
+    "log": Log,
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What an estimator reported, frame by frame and in the end.
+
+    Attributes
+    ----------
+    name : str
+    frames_expected : int
+    frame : (T,)
+        Indices of the frames it has poses of, increasing; of an estimator's, the first T.
+    stamp : (T,)
+        Camera times of these frames [s].
+    filtered : Poses
+        The pose of each frame, from the data up to it.
+    innovations : Innovations
+    used, gated : (n,)
+        Which observations of the sequence the final estimate has fused, and which the estimator rejected.
+    smoothed : Poses or None
+        The poses from all data; None if these are the filtered ones.
+    states : dict of str to StateHistory
+        What else was estimated.
+    cost : Cost
+    map : Landmarks or None
+    log : Log
+    up : (3,)
+        Direction of up in the world; z where the estimator does not know better.
+    fit : tuple of float, int or None
+        Sum of the squared residuals of the final estimate, each by its noise, and its degrees of freedom.
     blind : bool
         Whether the estimator is not meant to use the camera.
     identity : str
@@ -114,103 +196,79 @@ class Run:
     """
 
     name: str
-    error: str
     frames_expected: int
     frame: IntArray
     stamp: Array
-    world_T_imu: Array
-    world_T_imu_causal: Array
-    pose_cov: Array
-    pose_cov_causal: Array
-    bias: Array
-    bias_sigma: Array
-    nis: Array
-    dof: IntArray
-    log_likelihood: Array
-    world_gained: Array
-    step_time: Array
-    total_time: float
-    peak_rss: int
+    filtered: Poses
+    innovations: Innovations
     used: BoolArray
     gated: BoolArray
-    track: IntArray
-    points_world: Array
-    points_cov: Array | None
-    counts: dict[str, int]
+    smoothed: Poses | None = None
+    states: dict[str, StateHistory] = field(default_factory=dict)
+    cost: Cost = field(default_factory=Cost)
+    map: Landmarks | None = None
+    log: Log = field(default_factory=Log)
     up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    events: tuple[str, ...] = ()
     fit: tuple[float, int] | None = None
-    traceback: str = ""
     blind: bool = False
     identity: str = ""
 
     @classmethod
-    def without_frames(cls, name: str, error: str, *, frames_expected: int, observations: int) -> "Run":
-        """Run that never began, for the reason given."""
+    def without_frames(cls, name: str, log: Log, *, frames_expected: int, observations: int) -> "Run":
+        """Run that never began, for the reason in its log."""
         unfused = np.zeros(observations, bool)
         return cls(
             name=name,
-            error=error,
             frames_expected=frames_expected,
             frame=np.empty(0, np.int64),
             stamp=np.empty(0),
-            world_T_imu=np.empty((0, 4, 4)),
-            world_T_imu_causal=np.empty((0, 4, 4)),
-            pose_cov=np.empty((0, 6, 6)),
-            pose_cov_causal=np.empty((0, 6, 6)),
-            bias=np.empty((0, 6)),
-            bias_sigma=np.empty((0, 6)),
-            nis=np.empty(0),
-            dof=np.empty(0, np.int64),
-            log_likelihood=np.empty(0),
-            world_gained=np.empty((0, 6)),
-            step_time=np.empty(0),
-            total_time=0.0,
-            peak_rss=0,
+            filtered=Poses(np.empty((0, 4, 4))),
+            innovations=Innovations.unknown(0),
             used=unfused,
             gated=unfused,
-            track=np.empty(0, np.int64),
-            points_world=np.empty((0, 3)),
-            points_cov=None,
-            counts={},
+            log=log,
         )
 
     @property
     def complete(self) -> bool:
         """Whether the estimator finished."""
-        return not self.error
+        return not self.log.error
+
+    @property
+    def final(self) -> Poses:
+        """The poses as known in the end: smoothed if there are such, else filtered."""
+        return self.filtered if self.smoothed is None else self.smoothed
+
+    @property
+    def landmarks(self) -> Landmarks:
+        """The map; without landmarks where there is none."""
+        return Landmarks.none() if self.map is None else self.map
 
     @property
     def nis_per_dof(self) -> float:
         """Normalised innovation squared a degree of freedom; 0 where nothing was fused."""
-        return float(self.nis.sum() / max(self.dof.sum(), 1))
+        return float(self.innovations.nis.sum() / max(self.innovations.dof.sum(), 1))
 
     def levelled(self) -> "Run":
         """Return the run in a world whose z axis points up, with the same origin."""
         turn = se3.from_rotation_translation(so3.onto(self.up, np.array([0.0, 0.0, 1.0])), np.zeros(3))
-        rotation = turn[:3, :3]
-        cov = self.points_cov
         return replace(
             self,
-            world_T_imu=turn @ self.world_T_imu,
-            world_T_imu_causal=turn @ self.world_T_imu_causal,
-            points_world=self.points_world @ rotation.T,
-            points_cov=None if cov is None else rotation @ cov @ rotation.T,
+            filtered=self.filtered.moved(turn),
+            smoothed=None if self.smoothed is None else self.smoothed.moved(turn),
+            map=None if self.map is None else self.map.moved(turn),
             up=np.array([0.0, 0.0, 1.0]),
         )
 
     def save(self, path: Path) -> None:
         """Write the run, whole or not at all."""
-        arrays, plain = {}, {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
-                arrays[item.name] = value
-            else:
-                plain[item.name] = value
-        save_archive(path, plain, arrays)
+        write_archive(path, self)
 
     @classmethod
     def load(cls, path: Path) -> "Run":
         """Read a saved run; a DataError says what is wrong with it."""
-        return cls(**read_archive(path, _TABLE, what="a run as this version of vislam saves it"))
+        tree = read_archive(path, _TABLE, what="a run as this version of vislam saves it")
+        for name, kind in _PARTS.items():
+            tree[name] = None if tree[name] is None else kind(**tree[name])
+        tree["states"] = {name: StateHistory(**history) for name, history in tree["states"].items()}
+        return cls(**tree)

@@ -3,8 +3,9 @@
 A table maps the dotted path of each field to what it is; :mod:`vislam.core.archive` holds an archive to it.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -85,8 +86,31 @@ class Section:
     later: bool = False
 
 
+@dataclass(frozen=True)
+class Each:
+    """A mapping from short names to sections, all with the same arrays.
+
+    Attributes
+    ----------
+    fields : mapping of str to Numbers
+        ``*`` in a shape is a size that the arrays of one section have in common.
+    """
+
+    fields: Mapping[str, Numbers]
+
+    def expanded(self, dotted: str, names: Iterable[str]) -> "Iterator[tuple[str, Item]]":
+        """Lines of a table for the sections of some names at a dotted path."""
+        yield dotted, Section()
+        for section in (f"{dotted}.{name}" for name in names):
+            yield section, Section()
+            for key, item in self.fields.items():
+                yield f"{section}.{key}", replace(item, shape=item.shape.replace("*", section))
+
+
 Item = Numbers | Plain | Section
-Table = Mapping[str, Item]
+Table = Mapping[str, Item | Each]
+SHORT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+"""What names of sections, which others choose, may be."""
 
 
 def real(

@@ -8,47 +8,11 @@ import numpy as np
 
 from vislam.base.arrays import immutable
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.models import StereoRig
 
 _STEP_END = 1e-7
 """How far the samples of a step with constant twist lie inside its ends, as a share of its length."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What an estimator receives at one camera time.
-
-    Attributes
-    ----------
-    k : int
-        Index of the frame.
-    stamp : float
-        Camera time [s].
-    dt : float
-        Time since the frame before [s]; 0 for the first.
-    twist : (6,)
-        Mean inertial twist (omega, v) over the step that ends here, body frame [rad/s, m/s].
-    twist_change : (6,)
-        Twist at this frame less that at the frame before; 0 for the first.
-    climb_rate : float
-        Mean climb rate over that step [m/s]; NaN where the recording has none.
-    track : (n,)
-        Track ids in view. An id that is missing once never comes back.
-    z : (n, 3)
-        Stereo measurements (uL, uR, v) [px].
-    sigma : (n, 3)
-        Their standard deviations [px].
-    """
-
-    k: int
-    stamp: float
-    dt: float
-    twist: Array
-    twist_change: Array
-    climb_rate: float
-    track: IntArray
-    z: Array
-    sigma: Array
 
 
 @dataclass(frozen=True)
@@ -213,12 +177,18 @@ class Sequence:
         _, first, track = np.unique(self.track, return_index=True, return_inverse=True)
         return np.asarray(first[track])
 
-    def frames(self, sigma: Array) -> Iterator[Frame]:
-        """Frames in order; ``sigma (n, 3)`` [px] is the noise of each observation.
+    def frames(self, sigma: Array, usable: BoolArray | None = None) -> Iterator[Frame]:
+        """Frames in order; their arrays cannot be made writable, as the next estimator is given them too.
 
-        Their arrays cannot be made writable: what one estimator is given, the next is given too.
+        Parameters
+        ----------
+        sigma : (n, 3)
+            Standard deviations of the observations [px].
+        usable : (n,), optional
+            Which of the observations may be fused; all if left out.
         """
         z, sigma, track = immutable(self.z), immutable(sigma), immutable(self.track)
+        usable = immutable(np.ones(self.observations, bool) if usable is None else usable)
         means, climb = self.step_means()
         twist = immutable(means)
         at = self.stamp + self.clock_offset
@@ -231,12 +201,8 @@ class Sequence:
                 k=k,
                 stamp=float(self.stamp[k]),
                 dt=float(dt[k]),
-                twist=twist[k],
-                twist_change=change[k],
-                climb_rate=float(climb[k]),
-                track=track[rows],
-                z=z[rows],
-                sigma=sigma[rows],
+                stereo=StereoFrame(track[rows], z[rows], sigma[rows], usable[rows]),
+                odometry=OdometryStep(twist[k], change[k], float(climb[k])),
             )
 
     def step_means(self) -> tuple[Array, Array]:

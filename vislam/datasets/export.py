@@ -33,9 +33,9 @@ def write_npz(path: Path, run: Run) -> None:
 
     ``stamp (T,)``
         Camera times [s].
-    ``world_T_imu``, ``world_T_imu_causal (T, 4, 4)``
+    ``world_T_imu``, ``world_T_imu_filtered (T, 4, 4)``
         Poses of the body as known in the end, and as known at their own time.
-    ``pose_cov``, ``pose_cov_causal (T, 6, 6)``
+    ``pose_cov``, ``pose_cov_filtered (T, 6, 6)``
         Their covariances, in the order (omega [rad], v [m]), of a perturbation on the right. NaN where the
         estimator gave none.
     ``up (3,)``
@@ -45,18 +45,19 @@ def write_npz(path: Path, run: Run) -> None:
     ``points_cov (m, 3, 3)``
         Their covariances [m^2]; missing where the estimator gave none.
     """
+    final, filtered, landmarks = run.final, run.filtered, run.landmarks
     arrays = {
         "stamp": run.stamp,
-        "world_T_imu": run.world_T_imu,
-        "world_T_imu_causal": run.world_T_imu_causal,
-        "pose_cov": run.pose_cov,
-        "pose_cov_causal": run.pose_cov_causal,
+        "world_T_imu": final.world_T_imu,
+        "world_T_imu_filtered": filtered.world_T_imu,
+        "pose_cov": final.covariances,
+        "pose_cov_filtered": filtered.covariances,
         "up": run.up,
-        "track": run.track,
-        "points_world": run.points_world,
+        "track": landmarks.track,
+        "points_world": landmarks.points_world,
     }
-    if run.points_cov is not None:
-        arrays["points_cov"] = run.points_cov
+    if landmarks.points_cov is not None:
+        arrays["points_cov"] = landmarks.points_cov
     with replace_whole(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 

@@ -5,7 +5,7 @@ estimator may go on using its own arrays.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ import numpy as np
 from vislam.base.errors import ContractError
 from vislam.base.legible import quoted
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Estimate, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
+from vislam.core.schema import SHORT_NAME
+from vislam.core.step import Final, State, Step
+from vislam.core.trajectory import Landmarks, Poses
 from vislam.geometry import se3, so3
 
 _ROTATION_TOLERANCE = 1e-4
@@ -24,23 +26,42 @@ _ROUNDING = 1e-3
 landmark's is the difference of much larger ones."""
 
 
-def checked_step(step: Any, frame: Frame) -> StepRecord:
-    """Check the answer to a frame.
+def check_interface(estimator: Any) -> None:
+    """Check that ``process`` can be called as the loop does.
+
+    Raises
+    ------
+    ContractError
+        Says how it must be called, and what has taken the place of the argument that it once had.
+    """
+    try:
+        takes = signature(estimator.process)
+    except ValueError:
+        # Compiled code need not say; it answers for itself when it is called.
+        return
+    try:
+        takes.bind(None)
+    except TypeError:
+        raise ContractError(
+            f"process must take (frame), got {takes}: what was refused is now ~frame.stereo.usable"
+        ) from None
+
+
+def checked_step(step: Any, frame: Frame, sizes: Mapping[str, int]) -> Step:
+    """Check the answer to a frame, given the sizes of the states that earlier frames had.
 
     Raises
     ------
     ContractError
         Names the field, what is expected of it and what came.
     """
-    if not isinstance(step, StepRecord):
-        raise ContractError(f"process must return a StepRecord, got {type(step).__name__}")
-    count = len(frame.track)
-    return replace(
-        step,
-        world_T_imu=_poses("world_T_imu", step.world_T_imu, (4, 4)),
+    if not isinstance(step, Step):
+        raise ContractError(f"process must return a Step, got {type(step).__name__}")
+    count = len(frame.stereo)
+    return Step(
+        pose=_poses("pose", step.pose, (4, 4)),
         pose_cov=_covariance("pose_cov", step.pose_cov, (6, 6)),
-        bias=_optional("bias", step.bias, (6,)),
-        bias_sigma=_optional("bias_sigma", step.bias_sigma, (6,)),
+        states=_states(step.states, sizes),
         nis=_level("nis", step.nis),
         dof=_count("dof", step.dof),
         log_likelihood=_scalar("log_likelihood", step.log_likelihood),
@@ -50,37 +71,85 @@ def checked_step(step: Any, frame: Frame) -> StepRecord:
     )
 
 
-def checked_estimate(estimate: Any, causal: Array) -> Estimate:
-    """Check the final estimate, which may leave the poses as they were at the steps, ``(T, 4, 4)``.
+def checked_final(final: Any, frames: int) -> Final:
+    """Check the final estimate of a sequence of so many frames.
 
     Raises
     ------
     ContractError
         Names the field, what is expected of it and what came.
     """
-    if not isinstance(estimate, Estimate):
-        raise ContractError(f"finalize must return an Estimate, got {type(estimate).__name__}")
-    frames = len(causal)
-    poses = causal if estimate.world_T_imu is None else estimate.world_T_imu
-    track = _integers("track", estimate.track)
-    landmarks = len(track)
-    if landmarks and (track.min() < 0 or len(np.unique(track)) != landmarks):
-        raise ContractError(f"track must hold ids from 0 on, each once, got {quoted(track)}")
-    up = _optional("up", estimate.up, (3,))
+    if not isinstance(final, Final):
+        raise ContractError(f"finalize must return a Final, got {type(final).__name__}")
+    up = _optional("up", final.up, (3,))
     if up is not None and abs(float(np.linalg.norm(up)) - 1.0) > _ROTATION_TOLERANCE:
         raise ContractError(f"up must be a unit vector, got {quoted(up)}")
-    return replace(
-        estimate,
-        world_T_imu=_poses("world_T_imu", poses, (frames, 4, 4)),
-        pose_cov=_covariance("pose_cov", estimate.pose_cov, (frames, 6, 6)),
-        track=track,
-        points_world=_finite("points_world", _array("points_world", estimate.points_world, (landmarks, 3))),
-        points_cov=_covariance("points_cov", estimate.points_cov, (landmarks, 3, 3)),
-        counts=_counts(estimate.counts),
+    return Final(
+        trajectory=_trajectory(final.trajectory, frames),
+        map=_map(final.map),
+        fused=_fused(final.fused),
+        counts=_counts(final.counts),
+        events=_events(final.events),
         up=up,
-        fused=_fused(estimate.fused),
-        events=_events(estimate.events),
-        fit=_fit(estimate.fit),
+        fit=_fit(final.fit),
+    )
+
+
+def _states(value: Any, sizes: Mapping[str, int]) -> dict[str, State]:
+    if not isinstance(value, Mapping):
+        raise ContractError(f"states must be a State by each name, got {type(value).__name__}")
+    return {_name(key): _state(f"states.{key}", state, sizes.get(key)) for key, state in value.items()}
+
+
+def _name(key: Any) -> str:
+    if not isinstance(key, str) or not SHORT_NAME.fullmatch(key):
+        raise ContractError(
+            f"states must have names of letters, digits and _, at most 32, a letter first, got {quoted(key)}"
+        )
+    return key
+
+
+def _state(name: str, state: Any, size: int | None) -> State:
+    if not isinstance(state, State):
+        raise ContractError(f"{name} must be a State, got {type(state).__name__}")
+    shape = np.shape(state.value) if size is None else (size,)
+    if len(shape) != 1 or not shape[0]:
+        raise ContractError(f"{name}.value must be (m,) numbers, got {quoted(state.value)}")
+    value = _finite(f"{name}.value", _array(f"{name}.value", state.value, shape))
+    if state.sigma is None:
+        return State(value)
+    sigma = _array(f"{name}.sigma", state.sigma, shape)
+    if np.isnan(sigma).all():
+        return State(value)
+    if _finite(f"{name}.sigma", sigma).min() < 0.0:
+        raise ContractError(f"{name}.sigma must be at least 0, got {sigma.min():g}")
+    return State(value, sigma)
+
+
+def _trajectory(value: Any, frames: int) -> Poses | None:
+    if value is None:
+        return None
+    if not isinstance(value, Poses):
+        raise ContractError(f"trajectory must be Poses(array), got {type(value).__name__}")
+    return Poses(
+        _poses("trajectory.world_T_imu", value.world_T_imu, (frames, 4, 4)),
+        _covariance("trajectory.cov", value.cov, (frames, 6, 6)),
+    )
+
+
+def _map(value: Any) -> Landmarks | None:
+    if value is None:
+        return None
+    if not isinstance(value, Landmarks):
+        raise ContractError(f"map must be Landmarks(track, points_world), got {type(value).__name__}")
+    track = _integers("map.track", value.track)
+    count = len(track)
+    if count and (track.min() < 0 or len(np.unique(track)) != count):
+        raise ContractError(f"map.track must hold ids from 0 on, each once, got {quoted(track)}")
+    return Landmarks(
+        track,
+        _finite("map.points_world", _array("map.points_world", value.points_world, (count, 3))),
+        _covariance("map.points_cov", value.points_cov, (count, 3, 3)),
     )
 
 

@@ -11,14 +11,15 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vislam.base.arrays import immutable
 from vislam.base.errors import ContractError, Interrupted, first_line
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
-from vislam.core.estimator import Estimate, Estimator, StepRecord
-from vislam.core.run import Run
+from vislam.core.estimator import Estimator
+from vislam.core.run import Cost, Innovations, Log, Run, StateHistory
 from vislam.core.sequence import Sequence
-from vislam.estimators.contract import checked_estimate, checked_step
+from vislam.core.step import Final, State, Step
+from vislam.core.trajectory import Poses
+from vislam.estimators.contract import check_interface, checked_final, checked_step
 
 _LONGEST_REASON = 400
 _LONGEST_TRACEBACK = 20_000
@@ -39,7 +40,7 @@ def run(
     sigma: Array,
     *,
     name: str,
-    refused: BoolArray | None = None,
+    usable: BoolArray | None = None,
     on_frame: Callable[[int], None] = lambda k: None,
     blas_threads: int = 1,
 ) -> Run:
@@ -52,8 +53,8 @@ def run(
     sigma : (n, 3)
         Standard deviation of each observation's (uL, uR, v) [px].
     name : str
-    refused : (n,), optional
-        Observations that a shared gate has taken out.
+    usable : (n,), optional
+        Which observations may be fused; all if left out.
     on_frame : callable
         Called with the index of each finished frame.
     blas_threads : int
@@ -71,8 +72,7 @@ def run(
     RunInterrupted
         On Ctrl-C or SIGTERM, with the run so far.
     """
-    refused = np.zeros(sequence.observations, bool) if refused is None else refused
-    journal = _Journal(sequence, immutable(refused))
+    journal = _Journal(sequence, np.ones(sequence.observations, bool) if usable is None else usable)
     with threadpool_limits(blas_threads), PeakMemory() as memory:
         started = time.perf_counter()
         failure: BaseException | None = None
@@ -92,10 +92,12 @@ def run(
 def not_run(name: str, sequence: Sequence, failure: BaseException) -> Run:
     """Run of an estimator that could not be built, or was not reached."""
     reason = "interrupted" if isinstance(failure, Interrupted) else f"cannot be built: {_said(failure)}"
-    never = Run.without_frames(
-        name, reason, frames_expected=len(sequence), observations=sequence.observations
+    return Run.without_frames(
+        name,
+        Log(error=reason, traceback=_traceback(failure)),
+        frames_expected=len(sequence),
+        observations=sequence.observations,
     )
-    return replace(never, traceback=_traceback(failure))
 
 
 def _from_outside(failure: BaseException) -> bool:
@@ -116,79 +118,81 @@ def _left_as_found() -> Iterator[None]:
 class _Journal:
     """What an estimator has answered so far; it can be packed into a run at any time."""
 
-    def __init__(self, sequence: Sequence, refused: BoolArray) -> None:
+    def __init__(self, sequence: Sequence, usable: BoolArray) -> None:
         self._sequence = sequence
-        self._refused = refused
+        self._usable = usable.copy()
         self._used = np.zeros(sequence.observations, bool)
         self._gated = np.zeros(sequence.observations, bool)
-        self._steps: list[StepRecord] = []
+        self._steps: list[Step] = []
         self._step_time: list[float] = []
-        self._estimate: Estimate | None = None
+        self._sizes: dict[str, int] = {}
+        self._final = Final()
 
     def feed(self, estimator: Estimator, sigma: Array, on_frame: Callable[[int], None]) -> None:
         """Feed all frames and ask for the end."""
         sequence = self._sequence
-        for frame in sequence.frames(sigma):
-            rows = slice(sequence.offset[frame.k], sequence.offset[frame.k + 1])
+        check_interface(estimator)
+        for frame in sequence.frames(sigma, self._usable):
             before = time.perf_counter()
-            answer = estimator.process(frame, self._refused[rows])
+            answer = estimator.process(frame)
             seconds = time.perf_counter() - before
-            step = checked_step(answer, frame)
+            step = checked_step(answer, frame, self._sizes)
+            self._sizes |= {name: len(state.value) for name, state in step.states.items()}
             self._step_time.append(seconds)
             self._steps.append(step)
+            rows = slice(sequence.offset[frame.k], sequence.offset[frame.k + 1])
             self._used[rows], self._gated[rows] = step.used, step.gated
             on_frame(frame.k)
-        estimate = checked_estimate(estimator.finalize(), self._causal())
-        if estimate.fused is not None:
-            self._used = sequence.mask_of(*estimate.fused)
-        self._estimate = estimate
+        final = checked_final(estimator.finalize(), len(self._steps))
+        if final.fused is not None:
+            self._used = sequence.mask_of(*final.fused)
+        self._final = final
 
     def run(self, name: str, *, failure: BaseException | None, total_time: float, peak_rss: int) -> Run:
         """Pack what is there."""
-        steps, estimate = self._steps, self._estimate
-        causal = self._causal()
-        causal_cov = _stack([step.pose_cov for step in steps], (6, 6))
-        poses, pose_cov = causal, causal_cov
-        final = None if estimate is None else estimate.world_T_imu
-        if estimate is not None and final is not None and not np.array_equal(final, causal):
-            poses = final
-            pose_cov = np.full_like(causal_cov, np.nan) if estimate.pose_cov is None else estimate.pose_cov
-        end = _NOTHING if estimate is None else estimate
+        steps, final = self._steps, self._final
         done = len(steps)
+        poses = np.array([step.pose for step in steps]).reshape(-1, 4, 4)
+        filtered = Poses(poses, _stack([step.pose_cov for step in steps], (6, 6)))
         found = Run(
             name=name,
-            error="" if failure is None else self._reason(failure),
-            traceback="" if failure is None else _traceback(failure),
             frames_expected=len(self._sequence),
             frame=np.arange(done),
             stamp=np.array(self._sequence.stamp[:done]),
-            world_T_imu=poses,
-            world_T_imu_causal=causal,
-            pose_cov=pose_cov,
-            pose_cov_causal=causal_cov,
-            bias=_stack([step.bias for step in steps], (6,)),
-            bias_sigma=_stack([step.bias_sigma for step in steps], (6,)),
+            filtered=filtered,
+            smoothed=_smoothed(final.trajectory, filtered),
+            states={key: self._history(key, size) for key, size in self._sizes.items()},
+            innovations=self._innovations(),
+            cost=Cost(np.array(self._step_time, dtype=np.float64), total_time, peak_rss),
+            used=self._used,
+            gated=self._gated,
+            map=final.map,
+            log=Log(
+                error="" if failure is None else self._reason(failure),
+                traceback="" if failure is None else _traceback(failure),
+                counts=final.counts,
+                events=final.events + self._ignored_rejections(),
+            ),
+            fit=final.fit,
+        )
+        return found if final.up is None else replace(found, up=final.up)
+
+    def _innovations(self) -> Innovations:
+        steps = self._steps
+        return Innovations(
             nis=np.array([step.nis for step in steps], dtype=np.float64),
             dof=np.array([step.dof for step in steps], dtype=np.int64),
             log_likelihood=np.array([step.log_likelihood for step in steps], dtype=np.float64),
             world_gained=_stack([step.world_gained for step in steps], (6,)),
-            step_time=np.array(self._step_time, dtype=np.float64),
-            total_time=total_time,
-            peak_rss=peak_rss,
-            used=self._used,
-            gated=self._gated,
-            track=end.track,
-            points_world=end.points_world,
-            points_cov=end.points_cov,
-            counts=end.counts,
-            events=end.events + self._ignored_refusals(),
-            fit=end.fit,
         )
-        return found if end.up is None else replace(found, up=end.up)
 
-    def _causal(self) -> Array:
-        """Poses ``(T, 4, 4)`` as the steps had them."""
-        return np.array([step.world_T_imu for step in self._steps]).reshape(-1, 4, 4)
+    def _history(self, name: str, size: int) -> StateHistory:
+        """Values and standard deviations of a state at all frames."""
+        unknown = State(np.full(size, np.nan))
+        states = [step.states.get(name, unknown) for step in self._steps]
+        return StateHistory(
+            np.array([state.value for state in states]), _stack([state.sigma for state in states], (size,))
+        )
 
     def _reason(self, failure: BaseException) -> str:
         """Where it broke off and why, in one line."""
@@ -196,14 +200,17 @@ class _Journal:
         where = f"frame {done}" if done < len(self._sequence) else "finalize"
         return f"{where}: {_said(failure)}"
 
-    def _ignored_refusals(self) -> tuple[str, ...]:
+    def _ignored_rejections(self) -> tuple[str, ...]:
         """Say that rejected observations were fused, for then the information was not the same."""
-        count = int(np.count_nonzero(self._used & self._refused))
+        count = int(np.count_nonzero(self._used & ~self._usable))
         return (f"fused {count} observations that were rejected for all",) if count else ()
 
 
-_NOTHING = Estimate(np.empty((0, 4, 4)), None, np.empty(0, np.int64), np.empty((0, 3)), None, {})
-"""The end of an estimator that did not reach it."""
+def _smoothed(trajectory: Poses | None, filtered: Poses) -> Poses | None:
+    """Final poses; None if they are the filtered ones."""
+    if trajectory is None or np.array_equal(trajectory.world_T_imu, filtered.world_T_imu):
+        return None
+    return trajectory
 
 
 def _said(failure: BaseException) -> str:

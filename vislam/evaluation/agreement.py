@@ -122,8 +122,9 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
         Whether to take the poses of each as they were known at their own time.
     """
     frame, own, others = np.intersect1d(one.frame, other.frame, return_indices=True)
-    first, first_cov = _poses(one, own, causal=causal[0])
-    second, second_cov = _poses(other, others, causal=causal[1])
+    chosen = [run.filtered if early else run.final for run, early in zip((one, other), causal, strict=True)]
+    first, first_cov = chosen[0].world_T_imu[own], chosen[0].covariances[own]
+    second, second_cov = chosen[1].world_T_imu[others], chosen[1].covariances[others]
     if len(frame) < 2:
         return None
     known = usable(first_cov) & usable(second_cov)
@@ -185,9 +186,3 @@ def compared(first: Array, second: Array) -> tuple[Array, IntArray]:
     along = np.abs(factor @ vectors / sigma[:, :, None]).argmax(axis=1)
     # None is below zero but by rounding, where the first claims next to nothing of what the second does.
     return np.maximum(ratios, np.finfo(float).eps), along
-
-
-def _poses(run: Run, row: IntArray, *, causal: bool) -> tuple[Array, Array]:
-    if causal:
-        return run.world_T_imu_causal[row], run.pose_cov_causal[row]
-    return run.world_T_imu[row], run.pose_cov[row]

@@ -49,13 +49,13 @@ def _jumps(run: Run, record: Record) -> tuple[str, ...]:
     consecutive = np.flatnonzero(np.diff(run.frame) == 1)
     if record.step_twist is None or not len(consecutive):
         return ()
-    step = se3.inverse(run.world_T_imu[consecutive]) @ run.world_T_imu[consecutive + 1]
+    step = se3.inverse(run.final.world_T_imu[consecutive]) @ run.final.world_T_imu[consecutive + 1]
     moved = np.linalg.norm(step[:, :3, 3], axis=1)
     turned = np.linalg.norm(so3.log(step[:, :3, :3]), axis=1)
     dt = np.diff(record.stamp, prepend=record.stamp[0])
     turn, way = (np.linalg.norm(part, axis=1) * dt for part in np.split(record.step_twist, 2, axis=1))
     frame = run.frame[consecutive + 1]
-    variance = np.nan_to_num(np.diagonal(run.pose_cov[consecutive], axis1=1, axis2=2))
+    variance = np.nan_to_num(np.diagonal(run.final.covariances[consecutive], axis1=1, axis2=2))
     sure_turn, sure_way = (_SURE * np.sqrt(part.sum(axis=1)) for part in np.split(variance, 2, axis=1))
     farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
     widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn

@@ -99,14 +99,15 @@ def map_errors(run: Run, reference: Reference, *, alignment: Array, depth: Array
     depth : (j,)
         Distance of each true landmark from the pose that saw it first [m].
     """
-    track, mine, true = np.intersect1d(run.track, reference.track, return_indices=True)
+    found = run.landmarks
+    track, mine, true = np.intersect1d(found.track, reference.track, return_indices=True)
     if not len(track):
         return None
-    error = reference.points_world[true] - se3.transform(alignment, run.points_world[mine])
+    error = reference.points_world[true] - se3.transform(alignment, found.points_world[mine])
     distance = np.linalg.norm(error, axis=1)
     near = distance <= np.maximum(NEAR, NEAR_OF_DEPTH * depth[true])
     total = len(reference.track)
-    cov = None if run.points_cov is None else _turned(run.points_cov[mine], alignment)
+    cov = None if found.points_cov is None else _turned(found.points_cov[mine], alignment)
     return MapErrors(
         track,
         distance,
@@ -118,14 +119,15 @@ def map_errors(run: Run, reference: Reference, *, alignment: Array, depth: Array
 
 def map_difference(one: Run, other: Run) -> MapDifference | None:
     """Compare the maps of two runs; None if they have no landmark in common."""
-    track, first, second = np.intersect1d(one.track, other.track, return_indices=True)
+    mine, others = one.landmarks, other.landmarks
+    track, first, second = np.intersect1d(mine.track, others.track, return_indices=True)
     if not len(track) or not len(one.stamp) or not len(other.stamp):
         return None
-    join = one.world_T_imu[0] @ se3.inverse(other.world_T_imu[0])
-    apart = se3.transform(join, other.points_world[second]) - one.points_world[first]
+    join = one.final.world_T_imu[0] @ se3.inverse(other.final.world_T_imu[0])
+    apart = se3.transform(join, others.points_world[second]) - mine.points_world[first]
     squared = np.full(len(track), np.nan)
-    if one.points_cov is not None and other.points_cov is not None:
-        total = one.points_cov[first] + _turned(other.points_cov[second], join)
+    if mine.points_cov is not None and others.points_cov is not None:
+        total = mine.points_cov[first] + _turned(others.points_cov[second], join)
         known = usable(total)
         squared[known] = np.sum(whiten(apart[known], total[known]) ** 2, axis=1)
     return MapDifference(track, np.linalg.norm(apart, axis=1), squared)

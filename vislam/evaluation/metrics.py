@@ -139,17 +139,17 @@ def _claims(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
 
 
 def _of_itself(run: Run) -> Iterator[tuple[str, float, str]]:
-    yield "path_length", trajectory.path_length(run.world_T_imu), "m"
-    yield "height_end", float(run.world_T_imu[-1, 2, 3]), "m"
+    yield "path_length", trajectory.path_length(run.final.world_T_imu), "m"
+    yield "height_end", float(run.final.world_T_imu[-1, 2, 3]), "m"
     yield "frames", float(len(run.stamp)), "1"
-    if not len(run.step_time):
+    if not len(run.cost.step_time):
         # From elsewhere: nobody knows how it was made.
         return
     for key, percentile in _SPEED_KEYS.items():
-        yield key, float(1e3 * np.percentile(run.step_time, percentile)), "ms"
-    yield "total_time_s", run.total_time, "s"
-    yield "peak_rss_mb", run.peak_rss / 1e6, "MB"
-    yield "landmarks", float(len(run.track)), "1"
+        yield key, float(1e3 * np.percentile(run.cost.step_time, percentile)), "ms"
+    yield "total_time_s", run.cost.total_time, "s"
+    yield "peak_rss_mb", run.cost.peak_rss / 1e6, "MB"
+    yield "landmarks", float(len(run.landmarks)), "1"
     yield "observations_used", float(run.used.sum()), "1"
     yield "observations_gated", float(run.gated.sum()), "1"
 
@@ -160,7 +160,7 @@ def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:
     if scores.whiteness is not None:
         yield "nis_autocorrelation", float(scores.whiteness.autocorrelation[0]), "1"
         yield "nis_white_p", scores.whiteness.p_value, "1"
-    gained = scores.run.world_gained
+    gained = scores.run.innovations.world_gained
     if np.isfinite(gained).all() and len(gained):
         yield "yaw_information_gained", float(gained[:, _YAW].sum()), "1/rad^2"
         yield "position_information_gained", float(gained[:, 3:].sum(axis=0).mean()), "1/m^2"
@@ -192,14 +192,14 @@ def _apart(one: Run, other: Run) -> Iterator[tuple[str, float, str]]:
     frames, first, second = np.intersect1d(one.frame, other.frame, return_indices=True)
     if len(frames) < 3:
         return
-    positions, others = one.world_T_imu[first, :3, 3], other.world_T_imu[second, :3, 3]
+    positions, others = one.final.world_T_imu[first, :3, 3], other.final.world_T_imu[second, :3, 3]
     yield "trajectory_distance_rmse", _rms(positions - others), "m"
     rotation, translation = align(others, positions)
     yield "trajectory_distance_aligned_rmse", _rms(positions - (others @ rotation.T + translation)), "m"
-    common, first, second = np.intersect1d(one.track, other.track, return_indices=True)
+    common, first, second = np.intersect1d(one.landmarks.track, other.landmarks.track, return_indices=True)
     if len(common):
         pose = se3.from_rotation_translation(rotation, translation)
-        gap = one.points_world[first] - se3.transform(pose, other.points_world[second])
+        gap = one.landmarks.points_world[first] - se3.transform(pose, other.landmarks.points_world[second])
         yield "landmarks_common", float(len(common)), "1"
         yield "map_distance_median", float(np.median(np.linalg.norm(gap, axis=1))), "m"
 

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.reference import Reference
 from vislam.core.run import Run
+from vislam.core.step import TWIST_BIAS
 from vislam.evaluation import statistics
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.weighted_alignment import align_weighted
@@ -176,7 +177,7 @@ def position_errors(
 
 
 def bias_errors(run: Run, truth: Array) -> Normalised | None:
-    """Errors of the twist bias; None where the run claims nothing of it.
+    """Errors of the twist bias; None where the run has no standard deviation of it.
 
     Parameters
     ----------
@@ -184,12 +185,15 @@ def bias_errors(run: Run, truth: Array) -> Normalised | None:
     truth : (6,) or (T, 6)
         True bias [rad/s, m/s], of at least the frames of the run.
     """
-    given = np.isfinite(run.bias) & np.isfinite(run.bias_sigma)
-    known = np.all(given & (run.bias_sigma > _FLOOR), axis=1)
+    bias = run.states.get(TWIST_BIAS)
+    if bias is None or bias.value.shape[1] != truth.shape[-1]:
+        return None
+    given = np.isfinite(bias.value) & np.isfinite(bias.sigma)
+    known = np.all(given & (bias.sigma > _FLOOR), axis=1)
     if not known.any():
         return None
-    true = truth if truth.ndim == 1 else truth[: len(run.bias)]
-    error, sigma = (true - run.bias)[known], run.bias_sigma[known]
+    true = truth if truth.ndim == 1 else truth[: len(bias.value)]
+    error, sigma = (true - bias.value)[known], bias.sigma[known]
     return Normalised(
         "nees_bias",
         np.flatnonzero(known),
@@ -203,21 +207,22 @@ def bias_errors(run: Run, truth: Array) -> Normalised | None:
 
 def nis_statistic(run: Run) -> Statistic | None:
     """Average NIS of a run per degree of freedom; None where it gives none."""
-    found = run.dof > 0
+    nis, dof = run.innovations.nis, run.innovations.dof
+    found = dof > 0
     if not found.any():
         return None
     return statistics.of_squares(
         "nis",
-        run.nis[found],
-        run.dof[found].astype(float),
+        nis[found],
+        dof[found].astype(float),
         convention="innovation squared in its claimed covariance, of the observations fused at each frame",
     )
 
 
 def nis_whiteness(run: Run) -> Whiteness | None:
     """Whether the NIS of a run is white; None where it gives too few."""
-    found = run.dof > 0
-    return statistics.whiteness(run.nis[found], run.dof[found].astype(float))
+    found = run.innovations.dof > 0
+    return statistics.whiteness(run.innovations.nis[found], run.innovations.dof[found].astype(float))
 
 
 def usable(cov: Array) -> BoolArray:
@@ -240,9 +245,9 @@ def whiten(error: Array, cov: Array) -> Array:
 
 def _at_point(run: Run, row: IntArray, imu_T_point: Array, *, causal: bool) -> tuple[Array, Array]:
     """Poses of a point of the body, and their covariances on the right."""
-    poses, cov = (run.world_T_imu_causal, run.pose_cov_causal) if causal else (run.world_T_imu, run.pose_cov)
+    poses = run.filtered if causal else run.final
     move = se3.adjoint(se3.inverse(imu_T_point))
-    return poses[row] @ imu_T_point, move @ cov[row] @ move.T
+    return poses.world_T_imu[row] @ imu_T_point, move @ poses.covariances[row] @ move.T
 
 
 def _time(causal: bool) -> str:

@@ -125,8 +125,9 @@ def score_run(run: Run, record: Record) -> RunScores:
     reference, held = record.reference, record.held_out
     final = causal = None
     if reference is not None:
-        final = score_trajectory(run.frame, run.stamp, run.world_T_imu, reference)
-        causal = score_trajectory(run.frame, run.stamp, run.world_T_imu_causal, reference)
+        final = causal = score_trajectory(run.frame, run.stamp, run.final.world_T_imu, reference)
+        if run.smoothed is not None:
+            causal = score_trajectory(run.frame, run.stamp, run.filtered.world_T_imu, reference)
     joined, aligned = _map_errors(run, record, final)
     return RunScores(
         run=run,
@@ -138,7 +139,7 @@ def score_run(run: Run, record: Record) -> RunScores:
         map=joined,
         map_aligned=aligned,
         held_out=(
-            score(HeldOut(held.frame, held.track, held.z, record.rig), run.world_T_imu, frame=run.frame)
+            score(HeldOut(held.frame, held.track, held.z, record.rig), run.final.world_T_imu, frame=run.frame)
             if len(held.track)
             else None
         ),
@@ -153,8 +154,7 @@ def _claims(
     reference, found = record.reference, list[Normalised | None]()
     if reference is None or final is None:
         return []
-    smoothed = not np.array_equal(run.world_T_imu, run.world_T_imu_causal)
-    for causal in (False, True) if smoothed else (False,):
+    for causal in (False,) if run.smoothed is None else (False, True):
         if reference.pose is not None:
             found += (normalised.pose_errors(run, reference, causal=causal) or {}).values()
         else:
@@ -195,9 +195,10 @@ def score_pair(one: RunScores, other: RunScores, record: Record) -> PairScores:
     apart = maps.map_difference(one.run, other.run)
     depth, views = np.empty(0), np.empty(0, np.int64)
     if apart is not None:
-        own = np.searchsorted(one.run.track, apart.track, sorter=(order := np.argsort(one.run.track)))
-        points = one.run.points_world[order[own]]
-        depth = _depth(apart.track, points, record.given, one.run.frame, one.run.world_T_imu)
+        mapped = one.run.landmarks
+        own = np.searchsorted(mapped.track, apart.track, sorter=(order := np.argsort(mapped.track)))
+        points = mapped.points_world[order[own]]
+        depth = _depth(apart.track, points, record.given, one.run.frame, one.run.final.world_T_imu)
         views = np.bincount(record.given.track, minlength=int(apart.track.max()) + 1)[apart.track]
     better = None
     if one.held_out is not None and other.held_out is not None and len(one.held_out.track):

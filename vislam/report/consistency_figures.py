@@ -158,14 +158,14 @@ def parting(shown: Shown) -> Figure | None:
 def _ellipses(axes: Axes, run: Run, frame: int, *, colour: str) -> None:
     """Path and ellipses of a run about a frame, in its own world joined at the first pose."""
     position = (
-        run.world_T_imu[:, :3, :3].transpose(0, 2, 1)[0]
-        @ (run.world_T_imu[:, :3, 3] - run.world_T_imu[0, :3, 3]).T
+        run.final.world_T_imu[:, :3, :3].transpose(0, 2, 1)[0]
+        @ (run.final.world_T_imu[:, :3, 3] - run.final.world_T_imu[0, :3, 3]).T
     )
     near = np.flatnonzero(np.abs(run.frame - frame) <= _REACH)
     axes.plot(*position[:2, near], color=colour, lw=1, label=literal(run.name))
-    turn = run.world_T_imu[0, :3, :3].T @ run.world_T_imu[:, :3, :3]
+    turn = run.final.world_T_imu[0, :3, :3].T @ run.final.world_T_imu[:, :3, :3]
     for row in near[np.linspace(0, len(near) - 1, min(_ELLIPSES, len(near))).astype(int)]:
-        cov = (turn[row] @ run.pose_cov[row, 3:, 3:] @ turn[row].T)[:2, :2]
+        cov = (turn[row] @ run.final.covariances[row, 3:, 3:] @ turn[row].T)[:2, :2]
         if not np.isfinite(cov).all():
             continue
         size, axis = np.linalg.eigh(cov)

@@ -51,7 +51,7 @@ def height_attitude(shown: Shown) -> Figure:
     rows = figure.subplots(4, 1, sharex=True)
     reference = shown.reference
     for name, run in shown.runs.items():
-        _height_attitude(rows, shown.time(run), run.world_T_imu, colour=shown.colour(name), label=name)
+        _height_attitude(rows, shown.time(run), run.final.world_T_imu, colour=shown.colour(name), label=name)
     if reference is not None and reference.pose is not None and np.allclose(reference.imu_T_point, np.eye(4)):
         stamp = shown.record.stamp[reference.frame] - shown.record.stamp[0]
         _height_attitude(rows, stamp, reference.pose, colour="black", label=reference.name)
@@ -80,7 +80,7 @@ def error_over_distance(shown: Shown) -> Figure | None:
         found = shown.scores[name].final
         if found is None:
             continue
-        driven = distance_driven(run.world_T_imu)
+        driven = distance_driven(run.final.world_T_imu)
         colour = shown.colour(name)
         axes.plot(
             driven[np.searchsorted(run.frame, found.headline.frame)],
@@ -91,8 +91,9 @@ def error_over_distance(shown: Shown) -> Figure | None:
             color=colour,
             label=literal(name),
         )
-        if np.isfinite(run.pose_cov_causal).any() and run.dof.sum() > 0:
-            spread = 3.0 * np.sqrt(np.linalg.eigvalsh(run.pose_cov_causal[:, 3:, 3:])[:, -1])
+        cov = run.filtered.covariances
+        if np.isfinite(cov).any() and run.innovations.dof.sum() > 0:
+            spread = 3.0 * np.sqrt(np.linalg.eigvalsh(cov[:, 3:, 3:])[:, -1])
             axes.plot(driven, spread, "--", lw=0.9, alpha=0.8, color=colour)
     axes.set(xlabel="distance driven [m]", ylabel=literal(f"position error to {reference.name} [m]"))
     axes.set(yscale="log", ylim=(_SMALLEST_ERROR, None))
@@ -102,16 +103,17 @@ def error_over_distance(shown: Shown) -> Figure | None:
 
 def nis_over_time(shown: Shown) -> Figure | None:
     """Normalised innovation squared per degree of freedom, with its 95 % interval under the model."""
-    if not any(run.dof.sum() > 0 for run in shown.runs.values()):
+    if not any(run.innovations.dof.sum() > 0 for run in shown.runs.values()):
         return None
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     for name, run in shown.runs.items():
-        if run.dof.sum() == 0:
+        found = run.innovations
+        if found.dof.sum() == 0:
             continue
-        window = np.ones(min(_SMOOTHING, len(run.dof)))
-        dof = np.convolve(run.dof, window, mode="same")
-        nis = np.convolve(run.nis, window, mode="same") / np.maximum(dof, 1.0)
+        window = np.ones(min(_SMOOTHING, len(found.dof)))
+        dof = np.convolve(found.dof, window, mode="same")
+        nis = np.convolve(found.nis, window, mode="same") / np.maximum(dof, 1.0)
         axes.plot(
             shown.time(run),
             nis,
@@ -134,8 +136,8 @@ def step_time(shown: Shown) -> Figure:
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     for name, run in shown.runs.items():
-        if len(run.step_time):
-            axes.semilogy(1e3 * run.step_time, lw=0.6, color=shown.colour(name), label=literal(name))
+        if len(run.cost.step_time):
+            axes.semilogy(1e3 * run.cost.step_time, lw=0.6, color=shown.colour(name), label=literal(name))
     axes.set(xlabel="frame", ylabel="step time [ms]")
     axes.legend(loc="best", fontsize=8)
     return figure

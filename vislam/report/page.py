@@ -63,7 +63,7 @@ def write_page(
     text = template.render(
         title=title,
         notes=notes,
-        failures=[(name, run.error) for name, run in runs.items() if not run.complete],
+        failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=checks,
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
@@ -78,7 +78,7 @@ def write_page(
         counts=counts_table(counts, repairs, runs),
         repairs=repairs_table(repairs),
         frozen=frozen,
-        events={name: run.events for name, run in runs.items() if run.events},
+        events={name: run.log.events for name, run in runs.items() if run.log.events},
         provenance=provenance,
         config=config,
         draw=draw_table,

@@ -97,7 +97,7 @@ def counts_table(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Map
     elsewhere = {key for step in repairs for key in step.counts}
     rows = [["data", key.replace("_", " "), str(counts[key])] for key in counts if key not in elsewhere]
     for name, run in runs.items():
-        own = {"observations gated": int(run.gated.sum()), **run.counts}
+        own = {"observations gated": int(run.gated.sum()), **run.log.counts}
         rows += [[name, key.replace("_", " "), str(value)] for key, value in own.items()]
     return Table(["where", "what", "count"], rows)
 

@@ -44,14 +44,14 @@ def place(run: Run, reference: Reference | None) -> Placed:
         if laid is not None:
             laid[:3, 3] -= origin(reference)
             drawn_T_world = laid
-    pose = drawn_T_world @ run.world_T_imu @ body_T_point
+    pose = drawn_T_world @ run.final.world_T_imu @ body_T_point
     # Position errors are v, in the axes of the point: with exp on the right, R v moves the origin.
     turn = pose[:, :3, :3] @ se3.adjoint(se3.inverse(body_T_point))[3:]
     return Placed(
         pose=pose,
-        causal=drawn_T_world @ run.world_T_imu_causal @ body_T_point,
-        position_cov=turn @ run.pose_cov @ turn.transpose(0, 2, 1),
-        points=se3.transform(drawn_T_world, run.points_world),
+        causal=drawn_T_world @ run.filtered.world_T_imu @ body_T_point,
+        position_cov=turn @ run.final.covariances @ turn.transpose(0, 2, 1),
+        points=se3.transform(drawn_T_world, run.landmarks.points_world),
     )
 
 
@@ -65,7 +65,7 @@ def reference_T_world(run: Run, reference: Reference, *, planar: bool) -> Array 
     planar : bool
         Turn about the vertical and move in the plane only.
     """
-    matched = associate(run.frame, run.stamp, run.world_T_imu, reference)
+    matched = associate(run.frame, run.stamp, run.final.world_T_imu, reference)
     if len(matched.frame) < _FEWEST:
         return None
     found = find_alignment("planar" if planar else "se3", matched)

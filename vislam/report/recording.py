@@ -105,7 +105,7 @@ def _about(runs: Mapping[str, Run], record: Record, title: str) -> str:
         lines += ["**The data are simulated**, in place of a recording or without one.", ""]
     lines += [f"- {_literal(note)}" for note in record.notes]
     lines += [
-        f"- {name} is incomplete: {_literal(run.error)}" for name, run in runs.items() if not run.complete
+        f"- {name} is incomplete: {_literal(run.log.error)}" for name, run in runs.items() if not run.complete
     ]
     lines += [f"- {line}" for line in _world(record.reference)]
     lines += ["", "## Provenance", ""]
@@ -160,7 +160,7 @@ def _log_reference(recording: rr.RecordingStream, reference: Reference) -> None:
 def _log_run(recording: rr.RecordingStream, name: str, run: Run, record: Record, *, colour: int) -> None:
     placed, times = place(run, record.reference), _times(run.frame, record)
     recording.log(_entity(name, "path"), _strip(placed.pose, colour, width=1.5), static=True)
-    if not np.array_equal(run.world_T_imu, run.world_T_imu_causal):
+    if run.smoothed is not None:
         recording.log(_entity(name, "causal_path"), _strip(placed.causal, colour, width=0.5), static=True)
     pose = _entity(name, "pose")
     recording.log(pose, rr.TransformAxes3D(_AXIS_LENGTH), static=True)
@@ -168,8 +168,9 @@ def _log_run(recording: rr.RecordingStream, name: str, run: Run, record: Record,
         translation=placed.pose[:, :3, 3], quaternion=_xyzw(placed.pose[:, :3, :3])
     )
     recording.send_columns(pose, times, moves)
-    if len(run.track):
-        _log_landmarks(recording, _entity(name, "landmarks"), run.track, placed.points, record, colour=colour)
+    track = run.landmarks.track
+    if len(track):
+        _log_landmarks(recording, _entity(name, "landmarks"), track, placed.points, record, colour=colour)
     sigma = np.full((len(run.frame), 3), np.nan)
     known = np.isfinite(placed.position_cov).all(axis=(1, 2))
     if known.any():
@@ -182,9 +183,10 @@ def _log_run(recording: rr.RecordingStream, name: str, run: Run, record: Record,
         # An empty row takes the ellipsoid before it away.
         recording.send_columns(entity, times, ellipsoids.partition(known.astype(int)))
     scalars = {"position_sigma": sigma[:, 2]}
-    if len(run.step_time) == len(run.frame):
-        scalars["step_time_ms"] = 1e3 * run.step_time
-    scalars["nis_per_dof"] = np.where(run.dof > 0, run.nis / np.maximum(run.dof, 1), np.nan)
+    if len(run.cost.step_time) == len(run.frame):
+        scalars["step_time_ms"] = 1e3 * run.cost.step_time
+    nis, dof = run.innovations.nis, run.innovations.dof
+    scalars["nis_per_dof"] = np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
     for key, values in scalars.items():
         _log_scalar(recording, _entity(name, key), run.frame, values, record, name=name, colour=colour)
 

@@ -27,7 +27,7 @@ def scene_data(shown: Shown) -> dict[str, Any]:
     """
     placed = {name: _pose(shown, run) for name, run in shown.runs.items()}
     paths = {
-        name: se3.transform(pose, shown.positions(shown.runs[name].world_T_imu))
+        name: se3.transform(pose, shown.positions(shown.runs[name].final.world_T_imu))
         for name, pose in placed.items()
     }
     every = np.concatenate([*paths.values(), np.zeros((0, 3))])
@@ -65,12 +65,12 @@ def _solid(position: Array) -> Array:
 
 def _moving(shown: Shown, run: Run, pose: Array) -> dict[str, str]:
     """Position, attitude and three-sigma semi-axes (in columns) of each causal pose."""
-    world_R_imu = run.world_T_imu_causal[:, :3, :3]
-    given = np.asarray(np.isfinite(run.pose_cov_causal).all(axis=(1, 2)))
-    cov = np.where(given[:, None, None], run.pose_cov_causal, run.pose_cov)[:, 3:, 3:]
+    world_R_imu = run.filtered.world_T_imu[:, :3, :3]
+    given = np.asarray(np.isfinite(run.filtered.covariances).all(axis=(1, 2)))
+    cov = np.where(given[:, None, None], run.filtered.covariances, run.final.covariances)[:, 3:, 3:]
     return {
         "frame": _packed(run.frame.astype(np.float64)),
-        "position": _packed(se3.transform(pose, shown.positions(run.world_T_imu_causal))),
+        "position": _packed(se3.transform(pose, shown.positions(run.filtered.world_T_imu))),
         "attitude": _packed(pose[:3, :3] @ world_R_imu),
         "semi_axes": _packed(pose[:3, :3] @ world_R_imu @ three_sigma_axes(cov)),
     }
@@ -87,7 +87,7 @@ def three_sigma_axes(cov: Array) -> Array:
 
 def _landmarks(shown: Shown, run: Run, pose: Array, *, low: Array, high: Array) -> dict[str, Any]:
     """Landmarks near the paths in the order in which they were first seen, thinned out evenly."""
-    points = se3.transform(pose, run.points_world)
+    points = se3.transform(pose, run.landmarks.points_world)
     inside = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     seen = shown.first_seen(run)
     order = inside[np.argsort(seen[inside], kind="stable")]
@@ -96,7 +96,7 @@ def _landmarks(shown: Shown, run: Run, pose: Array, *, low: Array, high: Array) 
         "landmarks": _packed(points[order]),
         "first_seen": _packed(seen[order].astype(np.float64)),
         "landmarks_drawn": len(order),
-        "landmarks_all": len(run.track),
+        "landmarks_all": len(run.landmarks),
     }
 
 

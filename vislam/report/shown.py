@@ -50,8 +50,8 @@ class Shown:
     def of(
         cls, runs: Mapping[str, Run], record: Record, evaluation: Evaluation, rungs: Sequence[Rung]
     ) -> "Shown":
-        """Take the runs that are long enough, levelled."""
-        long_enough = {name: run.levelled() for name, run in runs.items() if len(run.stamp) > 2}
+        """Take the runs that are long enough, levelled as they were scored."""
+        long_enough = {name: evaluation.scores[name].run for name, run in runs.items() if len(run.stamp) > 2}
         return cls(long_enough, record, evaluation, rungs)
 
     @property
@@ -66,7 +66,7 @@ class Shown:
 
     def seeing(self) -> list[str]:
         """Runs that have seen the camera, or all, if none has: the others would flatten them in a figure."""
-        return [name for name, run in self.runs.items() if len(run.track)] or list(self.runs)
+        return [name for name, run in self.runs.items() if len(run.landmarks)] or list(self.runs)
 
     def agreements(self) -> dict[tuple[str, str], Agreement]:
         """Agreement of each two of these runs, of which both claim something."""
@@ -101,4 +101,4 @@ class Shown:
         """Frame in which each landmark of a run was seen first, ``(m,)``."""
         given = self.record.given
         track, row = np.unique(given.track, return_index=True)
-        return np.asarray(given.frame[row][np.searchsorted(track, run.track)])
+        return np.asarray(given.frame[row][np.searchsorted(track, run.landmarks.track)])

@@ -23,7 +23,7 @@ _SIGMA_SHARES = (0.02, 0.98)
 
 def top_view(shown: Shown) -> Figure:
     """All the paths in one panel; then a panel a map, its landmarks coloured by their uncertainty."""
-    mapped = {name: run for name, run in shown.runs.items() if len(run.track)}
+    mapped = {name: run for name, run in shown.runs.items() if len(run.landmarks)}
     low, high = _limits(shown)
     wanted = 1 + len(mapped)
     columns = wanted if wanted <= 3 else 2 if wanted == 4 else 3
@@ -59,7 +59,9 @@ def _limits(shown: Shown) -> tuple[Array, Array]:
     if shown.reference is not None:
         points = shown.reference.position[:, :2]
     else:
-        points = np.concatenate([run.world_T_imu[:, :2, 3] for run in shown.runs.values()] or [np.eye(2)])
+        points = np.concatenate(
+            [run.final.world_T_imu[:, :2, 3] for run in shown.runs.values()] or [np.eye(2)]
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     # The shorter side is given something as well: a straight drive would be a line.
     margin = 0.12 * float((high - low).max()) + 5.0
@@ -69,7 +71,7 @@ def _limits(shown: Shown) -> tuple[Array, Array]:
 def _path(shown: Shown, run: Run) -> Array:
     """Path from above ``(T, 2)`` [m]."""
     moved = shown.drawn_T_world(run, planar=True)
-    return se3.transform(moved, shown.positions(run.world_T_imu))[:, :2]
+    return se3.transform(moved, shown.positions(run.final.world_T_imu))[:, :2]
 
 
 def _paths(axes: Axes, shown: Shown) -> None:
@@ -82,16 +84,16 @@ def _paths(axes: Axes, shown: Shown) -> None:
 
 def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathCollection | None:
     sigma = {
-        name: np.sqrt(np.linalg.eigvalsh(run.points_cov)[:, -1])
+        name: np.sqrt(np.linalg.eigvalsh(cov)[:, -1])
         for name, run in mapped.items()
-        if run.points_cov is not None
+        if (cov := run.landmarks.points_cov) is not None
     }
     coloured = None
     if sigma:
         ends = np.quantile(np.concatenate(list(sigma.values())), _SIGMA_SHARES)
         norm = LogNorm(*np.maximum(ends, 1e-6))
     for axes, (name, run) in zip(panels, mapped.items(), strict=False):
-        points = se3.transform(shown.drawn_T_world(run, planar=True), run.points_world)[:, :2]
+        points = se3.transform(shown.drawn_T_world(run, planar=True), run.landmarks.points_world)[:, :2]
         if name in sigma:
             # The least certain first, so that they do not hide the others.
             order = np.argsort(-sigma[name])

@@ -97,7 +97,9 @@ def _partings(runs: Mapping[str, Run], evaluation: Evaluation) -> list[str]:
     for (one, other), scores in evaluation.pairs.items():
         found = scores.agreement
         # Who has no landmarks has not seen the camera: that it parts from the rest tells nothing.
-        if found is None or not all(runs[name].complete and len(runs[name].track) for name in (one, other)):
+        if found is None or not all(
+            runs[name].complete and len(runs[name].landmarks) for name in (one, other)
+        ):
             continue
         frame, certainty = found.parting(), found.certainty()
         if frame is None:

@@ -97,7 +97,7 @@ def _measure(config: Config) -> dict[str, Any]:
     # An incomplete run has errors of the frames it finished: they are not those of the others.
     complete = {name: run for name, run in results.runs.items() if run.complete}
     evaluation = evaluate(complete, results.record)
-    broken = {name: _line(run.error) for name, run in results.runs.items() if not run.complete}
+    broken = {name: _line(run.log.error) for name, run in results.runs.items() if not run.complete}
     return {
         "status": DONE,
         "reason": "; ".join(f"{name}: {error}" for name, error in broken.items()),

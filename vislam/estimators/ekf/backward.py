@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import StepRecord
-from vislam.core.sequence import Frame
+from vislam.base.types import Array, IntArray
+from vislam.core.frame import Frame
+from vislam.core.step import Step as Answer
 from vislam.estimators.ekf.chart import Chart
 from vislam.estimators.ekf.linear import Adjoint, Step
 from vislam.estimators.ekf.state import Farewell, JointState, PoseRows
@@ -24,7 +24,7 @@ _STRETCH = 16
 _STATES_SHARE = 0.25
 """Share of the memory that the kept states may take."""
 
-Advance = Callable[[JointState, Frame, BoolArray], StepRecord]
+Advance = Callable[[JointState, Frame], Answer]
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class _Stretch:
     """Some frames on end: the state before them, what came in, and the steps taken, unless dropped."""
 
     before: JointState
-    inputs: list[tuple[Frame, BoolArray]] = field(default_factory=list)
+    inputs: list[Frame] = field(default_factory=list)
     steps: list[Step] | None = field(default_factory=list)
     nbytes: int = 0
 
@@ -106,7 +106,7 @@ class Recorder:
         self.peak = 0
         self.latest: list[Step] = []
 
-    def take(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
+    def take(self, state: JointState, frame: Frame) -> Answer:
         """Advance the state by a frame, and record its steps."""
         if not self._stretches or len(self._stretches[-1].inputs) >= _STRETCH:
             self._stretches.append(_Stretch(state.copy()))
@@ -115,8 +115,8 @@ class Recorder:
         assert current.steps is not None
         state.steps = current.steps
         before = len(current.steps)
-        record = self._advance(state, frame, refused)
-        current.inputs.append((frame, refused))
+        record = self._advance(state, frame)
+        current.inputs.append(frame)
         self.latest = current.steps[before:]
         added = sum(step.nbytes for step in self.latest)
         current.nbytes += added
@@ -131,8 +131,8 @@ class Recorder:
             stretch = self._stretches.pop()
             if stretch.steps is None:
                 again = Recorder(self._advance, memory=self._memory)
-                for frame, refused in stretch.inputs:
-                    again.take(stretch.before, frame, refused)
+                for frame in stretch.inputs:
+                    again.take(stretch.before, frame)
                 yield from again.backwards()
                 self.again += len(stretch.inputs) + again.again
             else:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.core.estimator import Problem
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.ekf import chart
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.measurement import Camera
@@ -70,13 +70,13 @@ class DenseFilter:
         """Predict, update with all known landmarks at once, append the new ones."""
         if frame.k > 0:
             self._predict(frame)
-        self._in_view = {int(track) for track in frame.track}
-        known = [row for row, track in enumerate(frame.track) if int(track) in self.track]
+        self._in_view = {int(track) for track in frame.stereo.track}
+        known = [row for row, track in enumerate(frame.stereo.track) if int(track) in self.track]
         if known:
             self._drift(frame, known)
             self._update(frame, known)
-        for row in range(len(frame.track)):
-            if int(frame.track[row]) not in self.track:
+        for row in range(len(frame.stereo.track)):
+            if int(frame.stereo.track[row]) not in self.track:
                 self._append(frame, row)
         if self._keep_poses:
             self._past.append((self.world_T_imu, np.zeros(6)))
@@ -84,7 +84,7 @@ class DenseFilter:
 
     def _predict(self, frame: Frame) -> None:
         """Eq. (25) with the bias added."""
-        step = motion.integrate(frame.twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
+        step = motion.integrate(frame.odometry.twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
         block, noise = motion.transition(step)
         transition = np.eye(len(self.cov))
         transition[:NAV, :NAV] = block
@@ -116,7 +116,7 @@ class DenseFilter:
         noise = np.diag(np.tile(self._problem.track_noise.sigma**2, len(rows)))
         spread = jacobian @ self.cov @ jacobian.T + noise
         gain = np.linalg.solve(spread, jacobian @ self.cov).T
-        correction = gain @ (frame.z[list(rows)] - predicted).ravel()
+        correction = gain @ (frame.stereo.z[list(rows)] - predicted).ravel()
         # Eq. (29) in Joseph's form: as printed it loses symmetry, and with it, over a drive, everything.
         kept = np.eye(len(self.cov)) - gain @ jacobian
         self.cov = kept @ self.cov @ kept.T + gain @ noise @ gain.T
@@ -124,17 +124,17 @@ class DenseFilter:
 
     def _append(self, frame: Frame, row: int) -> None:
         """Append the landmark of eq. (20), its covariance that of pose and measurement."""
-        z, noise = frame.z[[row]], self._problem.track_noise
+        z, noise = frame.stereo.z[[row]], self._problem.track_noise
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(self.world_T_imu, z, offset=0.0)
         variance = np.concatenate([noise.sigma, noise.match_sigma(z[:, 0] - z[:, 1])]) ** 2
         grow = np.zeros((LANDMARK, len(self.cov)))
         grow[:, POSE] = by_nav[0][:, POSE]
         self._grow(
-            ("landmark", int(frame.track[row])),
+            ("landmark", int(frame.stereo.track[row])),
             grow,
             by_measurement[0] @ np.diag(variance) @ by_measurement[0].T,
         )
-        self.track.append(int(frame.track[row]))
+        self.track.append(int(frame.stereo.track[row]))
         self.anchors = np.concatenate([self.anchors, anchors])
         self.landmarks = np.concatenate([self.landmarks, landmarks])
         self._first = np.concatenate([self._first, landmarks])
@@ -176,4 +176,4 @@ class DenseFilter:
         return self._camera.chart.moved(self.landmarks[:, :3]) @ imu_to_anchor
 
     def _slots(self, frame: Frame, rows: Sequence[int]) -> list[int]:
-        return [self.track.index(int(frame.track[row])) for row in rows]
+        return [self.track.index(int(frame.stereo.track[row])) for row in rows]

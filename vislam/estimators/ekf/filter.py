@@ -6,8 +6,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core import trajectory
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.estimators.ekf import backward, chart, motion
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
@@ -57,26 +59,24 @@ class EkfEstimator:
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = Unobservable(layout.size) if options.observability else None
         self._left: list[Landmarks] = []
-        self._poses: list[Array] = []
         self._matches: list[Array] = []
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame."""
-        self._see_off(_places(self.state.track, frame.track) >= 0)
+        self._see_off(_places(self.state.track, frame.stereo.track) >= 0)
         if self._recorder is not None:
-            record = self._recorder.take(self.state, frame, refused)
+            record = self._recorder.take(self.state, frame)
             steps = self._recorder.latest
         else:
             steps = []
             self.state.steps = steps if self._meter is not None else None
-            record = self._advance(self.state, frame, refused)
-        self._poses.append(self.state.world_T_imu)
+            record = self._advance(self.state, frame)
         return record if self._meter is None else replace(record, world_gained=self._meter.follow(steps))
 
-    def finalize(self) -> Estimate:
+    def finalize(self) -> Final:
         """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""
         self._see_off(np.zeros(len(self.state.track), bool))
-        poses, pose_cov, counts = np.array(self._poses), None, {}
+        poses, counts = None, {}
         if self._recorder is None:
             landmarks = Landmarks.join(self._left)
         else:
@@ -84,13 +84,10 @@ class EkfEstimator:
             landmarks = found.landmarks
             counts["frames_computed_again"] = self._recorder.again
             if self._options.smoothed:
-                poses, pose_cov = found.world_T_imu, found.pose_cov
-        return Estimate(
-            world_T_imu=poses,
-            pose_cov=pose_cov,
-            track=landmarks.track,
-            points_world=landmarks.points_world,
-            points_cov=landmarks.points_cov,
+                poses = trajectory.Poses(found.world_T_imu, found.pose_cov)
+        return Final(
+            trajectory=poses,
+            map=trajectory.Landmarks(landmarks.track, landmarks.points_world, landmarks.points_cov),
             counts=counts,
             up=self._motion.up(self._layout, self.state.nav),
         )
@@ -105,9 +102,10 @@ class EkfEstimator:
         table = np.concatenate(self._matches)
         return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
-    def _advance(self, state: JointState, frame: Frame, refused: BoolArray) -> StepRecord:
+    def _advance(self, state: JointState, frame: Frame) -> Step:
         """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
-        rows = _places(state.track, frame.track)
+        usable = frame.stereo.usable
+        rows = _places(state.track, frame.stereo.track)
         seen = rows >= 0
         if not seen.all():
             state.keep(seen)
@@ -120,21 +118,20 @@ class EkfEstimator:
         view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
         if self._track_noise.drift > 0.0:
             state.wander(view.drift_cov(self._track_noise.drift))
-        fused, gated, update = self._fuse(state, view, frame, rows, ~refused[rows])
-        new = ~refused
+        fused, gated, update = self._fuse(state, view, frame, rows, usable[rows])
+        new = usable.copy()
         new[rows] = False
         self._initialise(state, frame, new)
         if self._options.smoothed:
             state.note_pose()
-        used, all_gated = new, np.zeros(len(frame.track), bool)
+        used, all_gated = new, np.zeros(len(frame.stereo.track), bool)
         used[rows[fused]] = True
         all_gated[rows[gated]] = True
-        dof = 3 * int(fused.sum())
-        return StepRecord(
-            world_T_imu=state.world_T_imu,
+        dof, bias = 3 * int(fused.sum()), self._layout[TWIST_BIAS]
+        return Step(
+            pose=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
-            bias=state.nav[self._layout["twist_bias"]].copy(),
-            bias_sigma=np.sqrt(np.diagonal(state.cov)[self._layout["twist_bias"]]),
+            states={TWIST_BIAS: State(state.nav[bias].copy(), np.sqrt(np.diagonal(state.cov)[bias]))},
             nis=0.0 if update is None else update.nis,
             dof=dof,
             log_likelihood=0.0 if update is None else _log_density(update, dof),
@@ -153,7 +150,7 @@ class EkfEstimator:
         nothing = np.zeros(n, bool)
         if not allowed.any():
             return nothing, nothing, None
-        z, variance = frame.z[rows], self._variance(frame, rows)
+        z, variance = frame.stereo.z[rows], self._variance(frame, rows)
         innovation = self._linearise(state, view, z)
         distance = innovation.distances(variance)
         passes = (distance <= self._threshold) & (view.depth > self._nearest)
@@ -223,12 +220,12 @@ class EkfEstimator:
             return
         rows = np.flatnonzero(new)
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(
-            state.world_T_imu, frame.z[rows], offset=self._offset(state.nav)
+            state.world_T_imu, frame.stereo.z[rows], offset=self._offset(state.nav)
         )
-        match = self._track_noise.match_sigma(frame.z[rows, 0] - frame.z[rows, 1])
+        match = self._track_noise.match_sigma(frame.stereo.z[rows, 0] - frame.stereo.z[rows, 1])
         variance = np.column_stack([self._variance(frame, rows), match**2])
         state.append(
-            frame.track[rows],
+            frame.stereo.track[rows],
             anchors,
             landmarks,
             by_nav=by_nav,
@@ -238,7 +235,7 @@ class EkfEstimator:
     def _variance(self, frame: Frame, rows: IntArray) -> Array:
         """Variances ``(n, 3)`` [px^2] of the white noise of measurements of a frame."""
         if self._independent:
-            return frame.sigma[rows] ** 2
+            return frame.stereo.sigma[rows] ** 2
         return np.broadcast_to(self._track_noise.sigma**2, (len(rows), 3))
 
     def _see_off(self, seen: BoolArray) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.geometry import se3, so3
 from vislam.models import odometry
@@ -111,8 +111,8 @@ class Height:
     def propagate(self, layout: NavLayout, frame: Frame, change: Array, noise: Array) -> None:
         """Integrate the climb rate into ``change`` and ``noise`` of a :class:`Propagation`."""
         if self._noise is not None:
-            known, climb = np.isfinite(frame.climb_rate), layout["climb"]
-            change[climb] = frame.dt * frame.climb_rate if known else 0.0
+            known, climb = np.isfinite(frame.odometry.climb_rate), layout["climb"]
+            change[climb] = frame.dt * frame.odometry.climb_rate if known else 0.0
             walk = frame.dt * self._noise.walk**2
             noise[climb, climb] = walk if known else (frame.dt * UNKNOWN_CLIMB) ** 2
 
@@ -162,13 +162,13 @@ class OdometryMotion:
         dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
         late = float(nav[layout["clock"]][0]) / dt if "clock" in layout else 0.0
-        twist = frame.twist + late * frame.twist_change
+        twist = frame.odometry.twist + late * frame.odometry.twist_change
         bias = nav[layout["twist_bias"]]
         step = odometry.integrate(twist, bias=bias, dt=dt, noise=self._problem.noise)
         own = slice(0, odometry.NAV)
         transition[own, own], noise[own, own] = odometry.transition(step)
         if "clock" in layout:
-            transition[POSE, layout["clock"]] = -(step.by_bias @ frame.twist_change / dt)[:, None]
+            transition[POSE, layout["clock"]] = -(step.by_bias @ frame.odometry.twist_change / dt)[:, None]
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
 
@@ -214,7 +214,7 @@ class SmoothMotion(OdometryMotion):
     def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
         """Take the body's twist from the first inertial sample, less its bias."""
         nav = nav.copy()
-        nav[layout["twist"]] = frame.twist - nav[layout["twist_bias"]]
+        nav[layout["twist"]] = frame.odometry.twist - nav[layout["twist_bias"]]
         return nav
 
     def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
@@ -253,11 +253,11 @@ class SmoothMotion(OdometryMotion):
         by_nav[:, layout["twist_bias"]] = np.eye(6)
         predicted = nav[layout["step"]] / frame.dt + nav[layout["twist_bias"]]
         if "clock" in layout:
-            late = frame.twist_change / frame.dt
+            late = frame.odometry.twist_change / frame.dt
             by_nav[:, layout["clock"]] = -late[:, None]
             predicted = predicted - late * nav[layout["clock"]]
         variance = self._problem.noise.twist**2 / frame.dt
-        return [Measurement(frame.twist - predicted, by_nav, variance), *found]
+        return [Measurement(frame.odometry.twist - predicted, by_nav, variance), *found]
 
 
 def make(problem: Problem) -> Motion:

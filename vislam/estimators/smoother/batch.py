@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.smoother.descent import Budget, Descent, descend
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X

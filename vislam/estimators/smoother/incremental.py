@@ -5,9 +5,10 @@ import logging
 import gtsam
 import numpy as np
 
-from vislam.base.types import BoolArray
-from vislam.core.estimator import Estimate, Problem, StepRecord
-from vislam.core.sequence import Frame
+from vislam.core.estimator import Problem
+from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, Final, State, Step
+from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.descent import Budget, Tell
@@ -48,7 +49,7 @@ class SmootherEstimator:
         self._events: list[str] = []
         self._counts = {"observations_used_late": 0, "final_iterations_undone": 0}
 
-    def process(self, frame: Frame, refused: BoolArray) -> StepRecord:
+    def process(self, frame: Frame) -> Step:
         """Take one frame."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in self._motion.factors(frame, self._frames[-1] if self._frames else None):
@@ -57,7 +58,7 @@ class SmootherEstimator:
         self._frames.append(frame)
         solver.predict(frame)
         self._motion.insert(values, frame, solver.poses[-1])
-        sights = [(track, track.views[-1]) for track in solver.tracks.take(frame, refused)]
+        sights = [(track, track.views[-1]) for track in solver.tracks.take(frame)]
         for track in solver.start():
             values.insert(track.key, track.point)
             sights += [(track, view) for view in track.views]
@@ -75,20 +76,15 @@ class SmootherEstimator:
         solver.find_astray(seen)
         every = self._options.pose_cov_every
         known = every > 0 and frame.k % every == 0
-        bias, bias_sigma = self._motion.bias(solver.engine, frame, with_sigma=known)
-        return StepRecord(
-            world_T_imu=solver.poses[-1],
+        bias = State(*self._motion.bias(solver.engine, frame, with_sigma=known))
+        return Step(
+            pose=solver.poses[-1],
             pose_cov=solver.engine.covariance(X(frame.k)) if known else None,
-            bias=bias,
-            bias_sigma=bias_sigma,
-            nis=0.0,
-            dof=0,
-            log_likelihood=float("nan"),
-            used=np.isin(frame.track, [track.id for track in seen]),
-            gated=np.zeros(len(frame.track), bool),
+            states={TWIST_BIAS: bias},
+            used=np.isin(frame.stereo.track, [track.id for track in seen]),
         )
 
-    def finalize(self) -> Estimate:
+    def finalize(self) -> Final:
         """Return all poses and landmarks, after what the options ask for in the end."""
         options, solver = self._options, self._solver
         tracks = solver.tracks.landmarks
@@ -109,12 +105,9 @@ class SmootherEstimator:
                 found = drive.covariances(values, [*(X(k) for k in range(len(poses))), *asked])
                 pose_cov = np.array(found[: len(poses)])
                 points_cov = np.array(found[len(poses) :]).reshape(-1, 3, 3) if asked else None
-        return Estimate(
-            world_T_imu=poses.reshape(-1, 4, 4),
-            pose_cov=pose_cov,
-            track=np.array([track.id for track in tracks], dtype=np.int64),
-            points_world=points,
-            points_cov=points_cov,
+        return Final(
+            trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
+            map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
             counts={
                 "landmarks_too_weak": solver.tracks.too_weak + len(solver.tracks.waiting),
                 "landmarks_set_aside": solver.tracks.set_aside,

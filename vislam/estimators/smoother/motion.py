@@ -13,7 +13,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.keys import CLOCK, B, H, V, W, X
 from vislam.geometry import se3
@@ -98,9 +98,9 @@ class OdometryMotion:
                 *self._bias_factors(frame, before),
             ]
             if problem.climb is not None:
-                known = np.isfinite(frame.climb_rate)
+                known = np.isfinite(frame.odometry.climb_rate)
                 spread = np.sqrt(frame.dt) * problem.climb.walk if known else frame.dt * UNKNOWN_CLIMB
-                rise = np.array([0.0, 0.0, frame.dt * frame.climb_rate if known else 0.0])
+                rise = np.array([0.0, 0.0, frame.dt * frame.odometry.climb_rate if known else 0.0])
                 factors.append(
                     gtsam.BetweenFactorPoint3(H(k - 1), H(k), rise, _sigmas([_UNUSED, _UNUSED, spread]))
                 )
@@ -112,9 +112,9 @@ class OdometryMotion:
         """Integrate the twist less its bias, and the climb rate."""
         if frame.k == 0:
             return pose
-        self._twist = frame.twist + self._clock / frame.dt * frame.twist_change - self._bias
-        if np.isfinite(frame.climb_rate):
-            self._height += frame.dt * frame.climb_rate
+        self._twist = frame.odometry.twist + self._clock / frame.dt * frame.odometry.twist_change - self._bias
+        if np.isfinite(frame.odometry.climb_rate):
+            self._height += frame.dt * frame.odometry.climb_rate
         return pose @ se3.exp(frame.dt * self._twist)
 
     def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
@@ -147,8 +147,8 @@ class OdometryMotion:
         if frame.k > 0:
             if self._estimate_clock:
                 self._clock = float(engine.vector(CLOCK)[0])
-            late = self._clock / frame.dt * frame.twist_change
-            self._bias = frame.twist + late - engine.vector(W(frame.k))
+            late = self._clock / frame.dt * frame.odometry.twist_change
+            self._bias = frame.odometry.twist + late - engine.vector(W(frame.k))
 
     def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
         """Bias at the end of the step; the clock's share in the variance of the twist is left in it."""
@@ -168,18 +168,18 @@ class OdometryMotion:
     def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
         """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
         problem, key = self._problem, W(frame.k)
-        late = frame.twist_change / frame.dt
+        late = frame.odometry.twist_change / frame.dt
         if before.k == 0:
-            mean, sigma = frame.twist - problem.bias_mean, np.asarray(problem.bias_sigma)
+            mean, sigma = frame.odometry.twist - problem.bias_mean, np.asarray(problem.bias_sigma)
             if not self._estimate_clock:
                 return [gtsam.PriorFactorVector(key, mean, _sigmas(sigma))]
             clock = gtsam.PriorFactorVector(CLOCK, np.zeros(1), _sigmas([problem.clock_sigma]))
             return [clock, _linear({key: np.eye(6), CLOCK: -late[:, None]}, mean, sigma)]
-        change = frame.twist - before.twist
+        change = frame.odometry.twist - before.odometry.twist
         sigma = np.sqrt(before.dt) * problem.noise.bias_walk
         if not self._estimate_clock:
             return [gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))]
-        by_clock = before.twist_change / before.dt - late
+        by_clock = before.odometry.twist_change / before.dt - late
         return [_linear({W(before.k): -np.eye(6), key: np.eye(6), CLOCK: by_clock[:, None]}, change, sigma)]
 
 
@@ -200,7 +200,7 @@ class SmoothMotion(OdometryMotion):
         """Those of the recorded twist, and the prior of smooth motion."""
         k, found = frame.k, super().factors(frame, before)
         if before is None:
-            mean = frame.twist - self._problem.bias_mean
+            mean = frame.odometry.twist - self._problem.bias_mean
             sigma = np.sqrt(FIRST_TWIST_S) * self._acceleration
             return [*found, gtsam.PriorFactorVector(B(0), mean, _sigmas(sigma))]
         ends = gtsam.StateData(X(k - 1), B(k - 1), 0.0), gtsam.StateData(X(k), B(k), frame.dt)
@@ -209,7 +209,7 @@ class SmoothMotion(OdometryMotion):
     def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
         """Insert the body's twist as well: the recorded one less its bias."""
         super().insert(values, frame, pose)
-        values.insert(B(frame.k), self._twist if frame.k else frame.twist - self._bias)
+        values.insert(B(frame.k), self._twist if frame.k else frame.odometry.twist - self._bias)
 
     def keys(self, k: int) -> list[int]:
         """Keys of a frame's own variables."""

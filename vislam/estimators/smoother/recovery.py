@@ -7,7 +7,7 @@ import gtsam
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.solver import Solver

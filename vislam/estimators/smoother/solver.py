@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame
 from vislam.estimators.smoother import engine
 from vislam.estimators.smoother.batch import only
 from vislam.estimators.smoother.engine import IndeterminateError

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vislam.base.types import Array, BoolArray
-from vislam.core.sequence import Frame
+from vislam.base.types import Array
+from vislam.core.frame import Frame
 from vislam.estimators.smoother.keys import landmark
 from vislam.estimators.smoother.starting import Start, starts
 from vislam.models import StereoRig
@@ -80,9 +80,9 @@ class Tracks:
         """All tracks whose landmarks are in the graph."""
         return [*self.ended, *self.in_view.values()]
 
-    def take(self, frame: Frame, refused: BoolArray) -> list[Track]:
+    def take(self, frame: Frame) -> list[Track]:
         """Add a frame's views; returns the landmarks that got one, in the frame's order."""
-        here = frame.track.tolist()
+        here = frame.stereo.track.tolist()
         present = set(here)
         self._aside &= present
         for gone in self.waiting.keys() - present:
@@ -91,11 +91,11 @@ class Tracks:
         for gone in sorted(self.in_view.keys() - present):
             self.ended.append(self.in_view.pop(gone))
         seen = []
-        for row in np.flatnonzero(~refused).tolist():
+        for row in np.flatnonzero(frame.stereo.usable).tolist():
             name = here[row]
             if name in self._aside:
                 continue
-            view = View(frame.k, frame.z[row], frame.sigma[row])
+            view = View(frame.k, frame.stereo.z[row], frame.stereo.sigma[row])
             track = self.in_view.get(name)
             if track is not None:
                 track.views.append(view)
