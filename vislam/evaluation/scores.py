@@ -11,7 +11,6 @@ from vislam.core.record import Record, Tracks
 from vislam.core.run import Run
 from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement
-from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
@@ -183,8 +182,7 @@ def _map_errors(
     assert reference.pose is not None
     depth = _depth(reference.track, reference.points_world, record.given, reference.frame, reference.pose)
     found = []
-    for kind in ("first_pose", "se3"):
-        laid = find_alignment(kind, final.matched)
+    for laid in (final.alignments["first_pose"], final.alignments["se3"]):
         pose = se3.from_rotation_translation(laid.rotation, laid.translation)
         found.append(maps.map_errors(run, reference, alignment=pose, depth=depth))
     return found[0], found[1]

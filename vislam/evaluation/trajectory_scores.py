@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from vislam.base.types import Array, IntArray
 from vislam.core.reference import Reference
-from vislam.evaluation.alignment import AlignmentKind, admitted, find_alignment
+from vislam.evaluation.alignment import Alignment, AlignmentKind, admitted, find_alignment
 from vislam.evaluation.association import Matched, associate
 from vislam.evaluation.kitti import KittiDrift, kitti_drift
 from vislam.evaluation.rpe import (
@@ -37,8 +37,10 @@ class TrajectoryScores:
     Attributes
     ----------
     matched : Matched
+    alignments : dict of AlignmentKind to Alignment
+        Of each kind that the reference admits.
     absolute : dict of AlignmentKind to AbsoluteErrors
-        Of each alignment that the reference admits.
+        After each of them.
     by_distance, by_time : dict of float to RelativeErrors
         By the length [m] and the duration [s] of the segments, as far as there are any.
     kitti : KittiDrift or None
@@ -49,6 +51,7 @@ class TrajectoryScores:
     """
 
     matched: Matched
+    alignments: Mapping[AlignmentKind, Alignment]
     absolute: Mapping[AlignmentKind, AbsoluteErrors]
     by_distance: Mapping[float, RelativeErrors]
     by_time: Mapping[float, RelativeErrors]
@@ -77,9 +80,11 @@ def score_trajectory(
     of_distance, of_time = rpe_by_distance, rpe_by_time
     if matched.pose is None:
         of_distance, of_time = displacement_by_distance, displacement_by_time
+    alignments = {kind: find_alignment(kind, matched) for kind in admitted(matched)}
     return TrajectoryScores(
         matched=matched,
-        absolute={kind: ate(matched, find_alignment(kind, matched)) for kind in admitted(matched)},
+        alignments=alignments,
+        absolute={kind: ate(matched, alignment) for kind, alignment in alignments.items()},
         by_distance=_some({length: of_distance(matched, length) for length in LENGTHS}),
         by_time=_some({duration: of_time(matched, duration) for duration in DURATIONS}),
         kitti=kitti_drift(matched),

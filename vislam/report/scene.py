@@ -25,7 +25,7 @@ def scene_data(shown: Shown) -> dict[str, Any]:
     a height. The poses that move are those known at their own time, with their covariances then, or those in
     the end where the estimator gives no others; the paths and the landmarks are those known in the end.
     """
-    placed = {name: _pose(shown, run) for name, run in shown.runs.items()}
+    placed = {name: _pose(shown, name) for name in shown.runs}
     paths = {
         name: se3.transform(pose, shown.positions(shown.runs[name].final.world_T_imu))
         for name, pose in placed.items()
@@ -54,8 +54,8 @@ def scene_data(shown: Shown) -> dict[str, Any]:
     }
 
 
-def _pose(shown: Shown, run: Run) -> Array:
-    return shown.drawn_T_world(run, planar=shown.reference is None or shown.reference.planar)
+def _pose(shown: Shown, name: str) -> Array:
+    return shown.drawn_T_world(name, planar=shown.reference is None or shown.reference.planar)
 
 
 def _solid(position: Array) -> Array:

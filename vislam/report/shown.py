@@ -13,7 +13,7 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.scores import RunScores
-from vislam.report.placement import reference_T_world
+from vislam.geometry import se3
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
 COLOURS = (
@@ -85,12 +85,13 @@ class Shown:
         """Time since the start of the recording at each frame of a run, ``(T,)`` [s]."""
         return run.stamp - self.record.stamp[0]
 
-    def drawn_T_world(self, run: Run, *, planar: bool) -> Array:
+    def drawn_T_world(self, name: str, *, planar: bool) -> Array:
         """Motion ``(4, 4)`` that lays a run on the reference; the identity where that cannot be told."""
-        laid = None
-        if self.reference is not None:
-            laid = reference_T_world(run, self.reference, planar=planar)
-        return np.eye(4) if laid is None else laid
+        found = self.evaluation.scores[name].final
+        if found is None:
+            return np.eye(4)
+        laid = found.alignments["planar" if planar else "se3"]
+        return se3.from_rotation_translation(laid.rotation, laid.translation)
 
     def positions(self, world_T_imu: Array) -> Array:
         """Positions ``(T, 3)`` [m] of the point that the reference is about."""

@@ -68,16 +68,16 @@ def _limits(shown: Shown) -> tuple[Array, Array]:
     return low - margin, high + margin
 
 
-def _path(shown: Shown, run: Run) -> Array:
+def _path(shown: Shown, name: str) -> Array:
     """Path from above ``(T, 2)`` [m]."""
-    moved = shown.drawn_T_world(run, planar=True)
-    return se3.transform(moved, shown.positions(run.final.world_T_imu))[:, :2]
+    moved = shown.drawn_T_world(name, planar=True)
+    return se3.transform(moved, shown.positions(shown.runs[name].final.world_T_imu))[:, :2]
 
 
 def _paths(axes: Axes, shown: Shown) -> None:
     axes.set_title("all paths", fontsize=9)
-    for name, run in shown.runs.items():
-        axes.plot(*_path(shown, run).T, color=shown.colour(name), lw=1.2, label=literal(name))
+    for name in shown.runs:
+        axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.2, label=literal(name))
     if shown.reference is not None:
         axes.plot(*shown.reference.position[:, :2].T, "k.", ms=2, label=literal(shown.reference.name))
 
@@ -93,7 +93,7 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
         ends = np.quantile(np.concatenate(list(sigma.values())), _SIGMA_SHARES)
         norm = LogNorm(*np.maximum(ends, 1e-6))
     for axes, (name, run) in zip(panels, mapped.items(), strict=False):
-        points = se3.transform(shown.drawn_T_world(run, planar=True), run.landmarks.points_world)[:, :2]
+        points = se3.transform(shown.drawn_T_world(name, planar=True), run.landmarks.points_world)[:, :2]
         if name in sigma:
             # The least certain first, so that they do not hide the others.
             order = np.argsort(-sigma[name])
@@ -102,7 +102,7 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
             coloured.set_rasterized(True)
         else:
             axes.plot(*points.T, ".", ms=1.2, color="0.5", rasterized=True)
-        axes.plot(*_path(shown, run).T, color=shown.colour(name), lw=1.0)
+        axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.0)
         covariances = "" if name in sigma else " (no covariances)"
         axes.set_title(literal(f"map of {name}{covariances}"), fontsize=9)
     return coloured
