@@ -19,7 +19,7 @@ from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
-from vislam.comparison.members import Unbuilt, members
+from vislam.comparison.members import Member, Unbuilt, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
 from vislam.comparison.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.comparison.running import Runner
@@ -171,7 +171,8 @@ def prepare(
         If an estimator that the list of observations is to come from is incomplete.
     """
     require_usable(dataset)
-    estimators = build_estimators(config, dataset)
+    found = members(config)
+    estimators = build_estimators(config, dataset, found)
     for note in dataset.notes:
         progress.note(note)
     sigma = pixel_sigma(config, dataset)
@@ -186,7 +187,6 @@ def prepare(
     )
     frozen = None
     if config.frozen_by:
-        found = members(config)
         gating = {name: found[name].build(make_problem(config, dataset)) for name in config.frozen_by}
         exempt = tuple(name for name, member in found.items() if member.takes_all)
         frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
@@ -211,13 +211,15 @@ def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Resu
     return results
 
 
-def build_estimators(config: Config, dataset: Dataset) -> dict[str, Estimator | Unbuilt]:
-    """Build the estimators by the name of their run, in order; a ConfigError names a wrong option.
+def build_estimators(
+    config: Config, dataset: Dataset, found: Mapping[str, Member]
+) -> dict[str, Estimator | Unbuilt]:
+    """Build the members of a comparison, in order; a ConfigError names a wrong option.
 
     Each has a problem of its own, so that none can change what another was given.
     """
     built = {}
-    for name, member in members(config).items():
+    for name, member in found.items():
         problem = make_problem(config, dataset)
         # Who is given a frozen list does not gate; who is given all observations does as it is told.
         if config.frozen_by and not member.takes_all:

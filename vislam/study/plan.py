@@ -10,6 +10,7 @@ from vislam.base.files import folder_name
 from vislam.comparison.compare import build_estimators
 from vislam.comparison.config import Config, parse
 from vislam.comparison.identity import code_digest, combine
+from vislam.comparison.members import members
 from vislam.comparison.open import open_dataset
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
@@ -90,7 +91,8 @@ class Plan:
         dataset = open_dataset(parse(Config, self.points[0].tree).data, seed=self.config.seed)
         for point in self.points:
             try:
-                build_estimators(parse(Config, point.tree), dataset)
+                config = parse(Config, point.tree)
+                build_estimators(config, dataset, members(config))
             except (ConfigError, DataError, Interrupted):
                 raise
             except BaseException as error:
