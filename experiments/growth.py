@@ -125,7 +125,7 @@ def _filtered(drive: Drive, watch: Callable[[int], None]) -> Array:
     with threadpool_limits(1):
         for frame in drive.sequence.frames(drive.sigma):
             before = time.thread_time()
-            solver.process(frame, np.zeros(len(frame.track), bool))
+            solver.process(frame)
             times.append(time.thread_time() - before)
             watch(frame.k)
     return np.array(times)

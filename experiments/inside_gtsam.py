@@ -117,7 +117,7 @@ def inside_gtsam(drive: Drive) -> Part:
                 f"{100 * run.outside:.0f} %",
                 f"{run.last_of_first:.2f}",
                 f"{run.final_time / run.step_time.sum():.2f}",
-                f"{run.estimate.counts['rescues']}",
+                f"{run.final.counts['rescues']}",
             ]
             for name, run in runs.items()
         ],

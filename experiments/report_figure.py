@@ -99,8 +99,8 @@ def _laid(results: Results, run: Run) -> tuple[Array, Array]:
     if reference is not None:
         laid = reference_T_world(run, reference, planar=True)
         moved, point = np.eye(4) if laid is None else laid, reference.imu_T_point
-    path = (moved @ run.world_T_imu @ point)[:, :2, 3]
-    return path, se3.transform(moved, run.points_world)[:, :2]
+    path = (moved @ run.final.world_T_imu @ point)[:, :2, 3]
+    return path, se3.transform(moved, run.landmarks.points_world)[:, :2]
 
 
 if __name__ == "__main__":

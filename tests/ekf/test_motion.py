@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import B, X
 
 from tests.smoother.drives import RIG, drive, filtered, gap, member
 from vislam.core.estimator import ClimbNoise, Problem
-from vislam.core.sequence import Frame
+from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.motion import OdometryMotion, SmoothMotion
 from vislam.geometry import se3
@@ -39,23 +39,15 @@ def built(kind):
 @pytest.fixture
 def frame(rng):
     twist = np.array([0.02, -0.03, 0.4, 9.0, 0.3, -0.2])
-    return Frame(
-        k=3,
-        stamp=0.3,
-        dt=0.12,
-        twist=twist,
-        twist_change=0.1 * rng.normal(size=6),
-        climb_rate=0.4,
-        track=np.empty(0, np.int64),
-        z=np.empty((0, 3)),
-        sigma=np.empty((0, 3)),
-    )
+    nothing = np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, bool)
+    odometry = OdometryStep(twist, 0.1 * rng.normal(size=6), 0.4)
+    return Frame(k=3, stamp=0.3, dt=0.12, stereo=StereoFrame(*nothing), odometry=odometry)
 
 
 def state(layout, frame, rng):
     nav = 0.01 * rng.normal(size=layout.size)
     if "twist" in layout:
-        nav[layout["twist"]] = frame.twist + 0.05 * rng.normal(size=6)
+        nav[layout["twist"]] = frame.odometry.twist + 0.05 * rng.normal(size=6)
     return se3.exp(rng.normal(size=6)), nav
 
 
@@ -129,8 +121,8 @@ def test_a_body_that_may_do_anything_is_bridged_by_the_inertial_samples_alone(ru
     go = filtered if run == "filter" else lambda config, dataset: member("batch", config, dataset)
     plain, free = go(config, dataset), go(anything, dataset)
     tight = go(smooth(config, (0.002, 0.002, 0.002, 0.02, 0.02, 0.02)), dataset)
-    assert max(gap(plain.world_T_imu, free.world_T_imu)) < 1e-3
-    assert gap(plain.world_T_imu, tight.world_T_imu)[1] > 1e-2
+    assert max(gap(plain.final.world_T_imu, free.final.world_T_imu)) < 1e-3
+    assert gap(plain.final.world_T_imu, tight.final.world_T_imu)[1] > 1e-2
 
 
 def test_smooth_motion_means_the_same_to_filter_and_smoother():
@@ -149,7 +141,7 @@ def test_smooth_motion_means_the_same_to_filter_and_smoother():
     config = replace(config, noise=replace(config.noise, first_pose_sigma=(1e-6,) * 6))
     ekf, plain = filtered(config, dataset), filtered(smooth(config, None), dataset)
     isam2 = member("batch", config, dataset)
-    sigma = np.sqrt(np.diagonal(ekf.pose_cov[-1]))
-    off = np.abs(se3.local(ekf.world_T_imu[-1], isam2.world_T_imu[-1]))
+    sigma = np.sqrt(np.diagonal(ekf.final.cov[-1]))
+    off = np.abs(se3.local(ekf.final.world_T_imu[-1], isam2.final.world_T_imu[-1]))
     assert np.all(off < 0.1 * sigma)
-    assert np.abs(se3.local(ekf.world_T_imu[-1], plain.world_T_imu[-1]) / sigma).max() > 0.3
+    assert np.abs(se3.local(ekf.final.world_T_imu[-1], plain.final.world_T_imu[-1]) / sigma).max() > 0.3

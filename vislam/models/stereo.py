@@ -45,7 +45,7 @@ class StereoRig:
 
     @property
     def nearest(self) -> float:
-        """Depth at which a disparity is as large as the image is wide [m]: nothing nearer is in both images."""
+        """Depth at which a disparity is as wide as the image [m]: nothing nearer is in both images."""
         return self.fx * self.baseline / (2.0 * self.cx) if self.cx > 0.0 else self.baseline
 
     def copy(self) -> "StereoRig":

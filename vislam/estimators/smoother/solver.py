@@ -20,7 +20,6 @@ from vislam.geometry import se3
 from vislam.models import StereoRig
 
 
-
 class Solver:
     """An engine with the tracks and poses that it holds.
 
