@@ -41,8 +41,8 @@ def test_a_smoother_that_is_timed_is_the_smoother(drive):
     found = smoothed(drive, SmootherOptions())
     solver = SmootherEstimator(drive.problem, SmootherOptions())
     for frame in drive.sequence.frames(drive.sigma):
-        solver.process(frame, np.zeros(len(frame.track), bool))
-    assert np.array_equal(found.estimate.world_T_imu, solver.finalize().world_T_imu)
+        solver.process(frame)
+    assert np.array_equal(found.final.trajectory.world_T_imu, solver.finalize().trajectory.world_T_imu)
     assert found.step_time.shape == found.solver_time.shape == (len(drive.sequence),)
     assert np.all(found.solver_time > 0.0)
     assert 0.0 < found.outside < 1.0
