@@ -120,19 +120,18 @@ def test_a_recording_is_read_and_inspected(elsewhere):
         vislam.datasets.open("nothing.npz")
 
 
-def run_python(code):
-    return subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+def run_python(code, *arguments):
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("name", CALLED)
-@pytest.mark.parametrize("order", ["before", "after", "both"])
-def test_a_name_is_called_whether_its_command_is_imported_or_not(name, order):
+def told(name, order):
     steps = {
         "before": f"import vislam.{name}",
         "after": f"import vislam; vislam.{name}; import vislam.{name}",
         "both": f"import vislam.{name}; from vislam import {name}",
     }
-    told = f"""
+    return f"""
 import sys
 from inspect import signature
 {steps[order]}
@@ -147,8 +146,37 @@ try:
 except (ConfigError, DataError):
     print("called")
 """
-    done = run_python(told)
-    assert done.stdout == "called\n", done.stderr
+
+
+FORKS = """
+import json, os, sys
+import gtsam, matplotlib.figure, numpy, pydantic, rich.progress, scipy.optimize, scipy.stats, yaml
+assert not [name for name in sys.modules if name.partition(".")[0] == "vislam"]
+for name, code in json.loads(sys.argv[1]).items():
+    print(name, end=" ", flush=True)
+    if os.fork() == 0:
+        exec(code, {"__name__": "__main__"})
+        sys.stdout.flush()
+        os._exit(0)
+    if os.wait()[1]:
+        print("failed", flush=True)
+"""
+"""Runs each code in a process that has loaded nothing of vislam; what vislam needs is loaded once for all."""
+
+
+@pytest.fixture(scope="module")
+def forked():
+    """What the code for each name and order prints, run on its own."""
+    codes = {f"{name}-{order}": told(name, order) for name in CALLED for order in ("before", "after", "both")}
+    done = run_python(FORKS, json.dumps(codes))
+    return dict(line.split(" ", 1) for line in done.stdout.splitlines()), done.stderr
+
+
+@pytest.mark.parametrize("name", CALLED)
+@pytest.mark.parametrize("order", ["before", "after", "both"])
+def test_a_name_is_called_whether_its_command_is_imported_or_not(name, order, forked):
+    printed, said = forked
+    assert printed[f"{name}-{order}"] == "called", said
 
 
 def test_the_package_alone_loads_nothing_heavy():

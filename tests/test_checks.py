@@ -259,6 +259,7 @@ def test_a_statistic_that_is_missing_does_not_hold():
     )
 
 
+@pytest.mark.statistical
 def test_sound_results_fail_a_test_as_seldom_as_the_rate_says(rng):
     rate, tests, trials = 0.1, 8, 1000
     config = config_of(*consistency_tests(tests), false_alarm_rate=rate)

@@ -93,6 +93,7 @@ def test_residuals_scatter_as_they_are_said_to(rng):
         assert scatter == pytest.approx(np.eye(3), abs=0.1)
 
 
+@pytest.mark.statistical
 def test_a_step_is_as_uncertain_as_it_says(rng):
     nees = []
     for _ in range(300):

@@ -233,7 +233,7 @@ def test_a_filter_that_does_not_finish_is_an_error(monkeypatch):
         calibrate(config_of(), simulated(8, frames=5), parameters())
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
     """Of 156 intervals of 95 % 143 did, 92 %: 78 of 84 of levels and clock, 65 of 72 of biases.
 

@@ -17,20 +17,37 @@ TURN = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0
 """From a camera's axes to x forward, y left, z up."""
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Results of a short comparison, which nobody may change."""
-    out = tmp_path_factory.mktemp("made")
+def compared(out, *options):
+    """Results of a short comparison."""
     config = str(ROOT / "configs" / "tiny.yaml")
-    assert compare.main(["--config", config, "--out", str(out), "--estimators", "dead_reckoning,ekf"]) == 0
+    arguments = ["--config", config, "--out", str(out), "--estimators", "dead_reckoning,ekf", *options]
+    assert compare.main(arguments) == 0
     (folder,) = out.iterdir()
     return folder
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Those without a page, which nobody may change."""
+    return compared(tmp_path_factory.mktemp("made"), "--no-report")
 
 
 @pytest.fixture
 def folder(made, tmp_path):
     """A copy of them."""
     return Path(shutil.copytree(made, tmp_path / "results"))
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Those with their page, which nobody may change."""
+    return compared(tmp_path_factory.mktemp("drawn"))
+
+
+@pytest.fixture
+def drawn_copy(drawn, tmp_path):
+    """A copy of them."""
+    return Path(shutil.copytree(drawn, tmp_path / "results"))
 
 
 def contents(folder):
@@ -43,19 +60,19 @@ def values(folder):
 
 
 @pytest.mark.slow
-def test_the_same_bytes_come_out_again(made, folder):
+def test_the_same_bytes_come_out_again(drawn, drawn_copy):
     for name in ("metrics.json", "report.html"):
-        (folder / name).unlink()
-    assert evaluate.main([str(folder)]) == 0
-    assert contents(folder) == contents(made)
+        (drawn_copy / name).unlink()
+    assert evaluate.main([str(drawn_copy)]) == 0
+    assert contents(drawn_copy) == contents(drawn)
 
 
 @pytest.mark.slow
-def test_another_folder_leaves_the_results_alone(made, folder, tmp_path):
-    assert evaluate.main([str(folder), "--out", str(tmp_path / "again")]) == 0
-    assert contents(folder) == contents(made)
+def test_another_folder_leaves_the_results_alone(drawn, drawn_copy, tmp_path):
+    assert evaluate.main([str(drawn_copy), "--out", str(tmp_path / "again")]) == 0
+    assert contents(drawn_copy) == contents(drawn)
     again = contents(tmp_path / "again")
-    assert again == {path: data for path, data in contents(made).items() if path in again}
+    assert again == {path: data for path, data in contents(drawn).items() if path in again}
     assert {str(path) for path in again} >= {"metrics.json", "report.html"}
 
 

@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +33,22 @@ def config(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("kept.yaml").write_text(CONFIG, encoding="utf-8")
     return "kept.yaml"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of a comparison that has finished, which nobody may change."""
+    with chdir(tmp_path_factory.mktemp("finished")):
+        Path("kept.yaml").write_text(CONFIG, encoding="utf-8")
+        code, folder = start("kept.yaml")
+        assert code == 0
+        return folder.resolve()
+
+
+@pytest.fixture
+def folder(config, finished):
+    """A copy of it, in the current folder."""
+    return Path(shutil.copytree(finished, Path("results") / finished.name))
 
 
 def start(config, *options):
@@ -81,12 +99,10 @@ def test_a_second_start_runs_nothing_and_says_so(config, calls, capsys):
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "incomplete", "other identity", "other name", "empty"])
-def test_only_what_is_whole_and_of_the_same_identity_is_gone_on_with(config, calls, damage):
-    _, folder = start(config)
+def test_only_what_is_whole_and_of_the_same_identity_is_gone_on_with(config, folder, calls, damage):
     whole = numbers(folder)
     path = folder / "runs" / "eks.npz"
     run = Run.load(path)
-    calls.clear()
     if damage == "missing":
         path.unlink()
     elif damage == "cut":
@@ -103,21 +119,18 @@ def test_only_what_is_whole_and_of_the_same_identity_is_gone_on_with(config, cal
     assert numbers(folder) == whole
 
 
-def test_another_gate_upstream_runs_what_it_decides_again(config, calls):
-    _, folder = start(config)
+def test_another_gate_upstream_runs_what_it_decides_again(config, folder, calls):
     path = folder / "runs" / "ekf.npz"
     run = Run.load(path)
     gated = run.gated.copy()
     gated[np.flatnonzero(~gated)[:3]] = True
     run.__class__(**{**vars(run), "gated": gated}).save(path)
-    calls.clear()
     assert start(config)[0] == 0
     assert calls == ["eks", "stereo_vo"]
 
 
 @pytest.mark.parametrize("failing", ["dead_reckoning", "ekf", "eks", "stereo_vo"])
-def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypatch, capsys):
-    _, folder = start(config)
+def test_one_that_fails_leaves_the_others_whole(folder, calls, failing, monkeypatch, capsys):
     whole = numbers(folder)
     real = loop.checked_step
 
@@ -127,7 +140,7 @@ def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypa
         return real(step, frame, sizes)
 
     monkeypatch.setattr(loop, "checked_step", broken)
-    code, _ = start(config, "--fresh", "--junit", "j.xml", "--verbose")
+    code, _ = start("kept.yaml", "--fresh", "--junit", "j.xml", "--verbose")
     assert code == 1
     runs = document(folder)["runs"]
     assert [name for name, run in runs.items() if not run["complete"]] == [failing]
@@ -141,7 +154,7 @@ def test_one_that_fails_leaves_the_others_whole(config, calls, failing, monkeypa
     assert f"{failing} is incomplete: frame 5: SystemExit: 0" in capsys.readouterr().out
     assert "sys.exit(0)" in Run.load(folder / "runs" / f"{failing}.npz").log.traceback
     monkeypatch.setattr(loop, "checked_step", real)
-    assert start(config)[0] == 0
+    assert start("kept.yaml")[0] == 0
     assert numbers(folder) == whole
 
 
@@ -186,8 +199,7 @@ def test_passes_that_select_observations_are_kept_too(config, calls):
     assert numbers(folder) == whole
 
 
-def test_an_estimator_cannot_change_the_problem_of_the_next(config, monkeypatch):
-    _, folder = start(config)
+def test_an_estimator_cannot_change_the_problem_of_the_next(config, folder, monkeypatch):
     whole = numbers(folder)
     from vislam_baselines import dead_reckoning
 

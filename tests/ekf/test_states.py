@@ -28,10 +28,10 @@ INVARIANT = {"error": "invariant", "landmarks": "disparity"}
 
 
 def drive(
-    short_config: Config, *, seed: int, noise=None, repair=None, **simulation
+    short_config: Config, *, seed: int, frames: int = 150, noise=None, repair=None, **simulation
 ) -> tuple[Config, Dataset]:
     """A longer drive like the short one, and its config."""
-    longer = replace(short_config.data.simulation, frames=150, **simulation)
+    longer = replace(short_config.data.simulation, frames=frames, **simulation)
     data = DataConfig(simulation=longer, repair=repair or short_config.data.repair)
     config = replace(short_config, data=data, noise=replace(short_config.noise, **(noise or {})))
     return config, open_dataset(config.data, seed=seed)
@@ -85,7 +85,7 @@ def test_a_disparity_offset_is_found(short_config: Config):
 def test_a_state_with_no_prior_spread_stays_what_it_is(short_config: Config):
     fixed = (0.0, 0.0, 0.0, 0.0, 0.05, 0.02)
     config, dataset = drive(
-        short_config, seed=7, noise={"bias_sigma": fixed, "bias_walk": (0.0,) * 4 + (5e-4,) * 2}
+        short_config, seed=7, frames=40, noise={"bias_sigma": fixed, "bias_walk": (0.0,) * 4 + (5e-4,) * 2}
     )
     found, estimator = filtered(config, dataset)
     assert np.all(found.states[TWIST_BIAS].value[:, :4] == 0.0)
@@ -198,7 +198,7 @@ def test_options_without_a_meaning_get_a_line(short: Dataset, short_config: Conf
 
 @pytest.mark.parametrize("member", ["ekf", "ekf_fej", "ekf_invariant"])
 def test_the_covariance_stays_symmetric_and_positive(short_config: Config, member):
-    config, dataset = drive(short_config, seed=11)
+    config, dataset = drive(short_config, seed=11, frames=80)
     estimator = find(member)(make_problem(config, dataset), {"finished": "as_left"})
     for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
         estimator.process(frame)
@@ -213,7 +213,7 @@ def test_the_covariance_stays_symmetric_and_positive(short_config: Config, membe
 @pytest.mark.parametrize("member", ["ekf", "ekf_iterated", "ekf_fej", "ekf_invariant", "eks"])
 @pytest.mark.parametrize("first", [0, 30], ids=["from the start", "on the way"])
 def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
-    config, dataset = drive(short_config, seed=3)
+    config, dataset = drive(short_config, seed=3, frames=80)
     frame = dataset.sequence.frame_of
     sequence = dataset.sequence.select((frame < first) | (frame >= first + 20))
     # An id that is missing once never comes back.
@@ -235,7 +235,7 @@ def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
 def test_pose_and_climbed_height_meet_where_their_variances_say(short_config: Config):
     """The height of the pose is that which the climb rate has led to: each gives way by its share."""
     config, dataset = drive(
-        short_config, seed=1, noise={"climb": ClimbConfig(walk=0.1)}, levelled_velocity=True
+        short_config, seed=1, frames=5, noise={"climb": ClimbConfig(walk=0.1)}, levelled_velocity=True
     )
     rates = replace(dataset.sequence, climb_rate=np.zeros(len(dataset.sequence.climb_rate)))
     estimator = EkfEstimator(make_problem(config, replace(dataset, sequence=rates)), EkfOptions())

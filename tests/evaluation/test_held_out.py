@@ -213,7 +213,7 @@ def test_a_run_is_no_better_than_itself(straight):
     assert (same.better, same.low, same.high, same.p_value, same.gain) == (0.5, 0.5, 0.5, 1.0, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_equal_runs_are_seldom_told_apart():
     """Two runs with poses equally wrong: the p-value is below a tenth in about a tenth of the cases."""
     held, truth = drive(frames=300, tracks_in_view=15)

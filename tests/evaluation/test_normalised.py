@@ -298,6 +298,7 @@ def reckoned(rng, runs, frames=200):
     return np.array(truth), np.array(estimate), np.array(cov)
 
 
+@pytest.mark.statistical
 def test_dead_reckoning_whose_errors_never_decorrelate_is_accused_no_more_often_than_stated(rng):
     truth, estimates, cov = reckoned(rng, runs=100)
     reference = of_truth(truth)

@@ -76,6 +76,7 @@ def statistic(whitened):
     return of_errors("nees", whitened, convention="")
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", SOUND)
 def test_a_sound_estimator_is_accused_no_more_often_than_stated(rng, kind):
     found = np.array([statistic(SOUND[kind](rng)).p_value() for _ in range(TRIALS)])
@@ -84,12 +85,14 @@ def test_a_sound_estimator_is_accused_no_more_often_than_stated(rng, kind):
         assert np.sum(found < nominal) <= binom.ppf(0.999, TRIALS, nominal)
 
 
+@pytest.mark.statistical
 def test_taking_the_samples_for_independent_would_accuse_sound_estimators(rng):
     draws = [decaying(10.0, 3)(rng) for _ in range(TRIALS)]
     naive = [Statistic("nees", np.mean(draw**2), 3.0, SAMPLES, SAMPLES, "").p_value() for draw in draws]
     assert np.mean(np.array(naive) < 0.01) > 0.3
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("kind", ["length 1", "length 10", "length 10, pose"])
 def test_noise_that_is_wrong_by_two_is_found(rng, kind, factor):
@@ -155,6 +158,7 @@ def squares(rng, length):
     return freedom * (1.0 - part + normal * np.sqrt(part)) ** 3, freedom
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("length", [0, 1, 10])
 def test_squares_alone_accuse_no_more_often_than_stated(rng, length):
     found = [of_squares("nis", *squares(rng, length), convention="").p_value() for _ in range(TRIALS)]

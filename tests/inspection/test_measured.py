@@ -48,7 +48,13 @@ def inspected(sequence, *, repair=None, noise=None):
     return inspect_sequence(sequence, config)
 
 
-@pytest.mark.parametrize(("white", "drift"), [(0.3, 0.0), (0.15, 0.15), (0.5, 0.1)])
+@pytest.mark.parametrize(
+    ("white", "drift"),
+    [
+        (0.15, 0.15),
+        *(pytest.param(*levels, marks=pytest.mark.statistical) for levels in ((0.3, 0.0), (0.5, 0.1))),
+    ],
+)
 def test_white_noise_is_measured(white, drift):
     sequence = long_drive(pixel_sigma_px=white, drift_px=drift, match_px=0.4)
     finding, _ = check_pixel_noise(sequence, fits_of(sequence), pixel_sigma_px=1.0, drift_px=0.0)
@@ -67,7 +73,7 @@ def test_a_pure_drift_is_not_taken_for_white_noise():
     assert np.hypot(*finding.settings.values()) >= 0.29
 
 
-@pytest.mark.parametrize("match", [0.4, 0.8])
+@pytest.mark.parametrize("match", [0.4, pytest.param(0.8, marks=pytest.mark.statistical)])
 def test_the_matching_bias_is_measured(match):
     sequence = long_drive(match_px=match, frames=250)
     finding = check_match(sequence, fits_of(sequence), match_px=0.0)

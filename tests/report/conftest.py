@@ -62,7 +62,7 @@ class Tiny:
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory) -> Tiny:
     out = tmp_path_factory.mktemp("tiny")
-    assert main(["--config", str(TINY), "--out", str(out)]) == 0
+    assert main(["--config", str(TINY), "--out", str(out), "--no-report"]) == 0
     (folder,) = out.iterdir()
     results = Results.load(folder)
     return Tiny(folder, results, evaluate(results.runs, results.record))

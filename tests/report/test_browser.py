@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from vislam import evaluate
+
 sync_api = pytest.importorskip("playwright.sync_api")
 
 CHROMIUM = shutil.which("chromium")
@@ -56,12 +58,19 @@ class Opened:
         return [line for line in self.said if not any(known in line for known in PLOTLYS_OWN)]
 
 
+@pytest.fixture(scope="module")
+def written(tiny):
+    """The page that the command writes of the tiny comparison."""
+    assert evaluate.main([str(tiny.folder)]) == 0
+    return tiny.folder / "report.html"
+
+
 @pytest.fixture
-def opened(browser, tiny):
+def opened(browser, written):
     """Open the page of the tiny comparison; it must neither complain nor ask for anything else."""
     pages = []
 
-    def start(path=tiny.folder / "report.html", *, browser=browser, **options):
+    def start(path=written, *, browser=browser, **options):
         pages.append(Opened(browser, path, **options))
         return pages[-1]
 
@@ -69,7 +78,7 @@ def opened(browser, tiny):
     for each in pages:
         each.context.close()
         assert each.complaints() == []
-        assert each.asked == [(tiny.folder / "report.html").as_uri()]
+        assert each.asked == [written.as_uri()]
 
 
 def pixels(page):

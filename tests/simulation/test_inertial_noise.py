@@ -36,6 +36,7 @@ def test_steps_without_noise_have_the_true_mean_twist_and_the_bias():
     assert np.abs(step_error(replace(QUIET, frames=200))).max() < 1e-6
 
 
+@pytest.mark.statistical
 def test_noise_of_steps_has_the_stated_covariance_and_none_with_the_next_step():
     error = step_error(NOISY) / SIGMA
     # Five standard deviations of an estimated correlation, sqrt(1 / n), or variance, sqrt(2 / n).
@@ -45,6 +46,7 @@ def test_noise_of_steps_has_the_stated_covariance_and_none_with_the_next_step():
     assert np.abs(error[1:].T @ error[:-1] / STEPS).max() < within
 
 
+@pytest.mark.statistical
 def test_samples_share_their_noise_with_the_next_step():
     quiet, noisy = (step_error(replace(config, inertial_noise="sample")) for config in (QUIET, NOISY))
     error = (noisy - quiet) / SIGMA

@@ -43,6 +43,7 @@ def test_a_walk_changes_the_twist_by_the_walk_and_nothing_else(noise):
     assert walking.twist - still.twist == pytest.approx(gone, abs=1e-12)
 
 
+@pytest.mark.statistical
 def test_the_walk_has_independent_steps_of_the_stated_size():
     config = replace(WALKING, frames=4001, tracks_in_view=1, path="loop")
     steps = np.diff(simulated(config)[1].bias, axis=0) / np.sqrt(config.period)
@@ -53,6 +54,7 @@ def test_the_walk_has_independent_steps_of_the_stated_size():
     assert np.abs(white[1:].T @ white[:-1] / 4000).max() < within
 
 
+@pytest.mark.statistical
 def test_a_frame_is_dropped_as_often_as_stated_and_never_the_first():
     sequence, truth = simulated(replace(DRIVE, dropped_probability=0.3, frames=2000, tracks_in_view=3))
     empty = np.diff(sequence.offset) == 0

@@ -114,7 +114,7 @@ def test_batch_equals_least_squares_of_scipy():
 @pytest.mark.parametrize(("window", "wildfire", "within"), [(1000, 0.0, 1e-9), (5, 0.1, 1e-3)])
 def test_a_lag_longer_than_the_drive_changes_nothing(window, wildfire, within):
     """Nothing at all where no variable rests and no change counts as small, as in the fixed-lag smoother."""
-    config, dataset = drive(seed=2, tracks_in_view=25)
+    config, dataset = drive(seed=2, frames=40, tracks_in_view=25)
     same = {
         "final": "as_is",
         "relinearize_every": 3,
@@ -163,7 +163,7 @@ def test_the_last_pose_is_the_filters_where_all_is_nearly_linear(name, monkeypat
 
 
 def test_smart_factors_and_batch_with_the_same_noise_in_rows_and_columns_are_close():
-    config, dataset = drive(seed=4, tracks_in_view=25)
+    config, dataset = drive(seed=4, frames=25, tracks_in_view=25)
     sigma = np.full((dataset.sequence.observations, 3), 0.3)
     batch = member("batch", config, dataset, sigma=sigma)
     smart = member("batch", config, dataset, sigma=sigma, factors="smart")

@@ -29,17 +29,20 @@ def test_the_interval_of_a_share_is_the_published_one():
 
 
 # 400 intervals of 95 %: 92 to 98 % hold with four standard deviations to spare below, three above.
+@pytest.mark.statistical
 def test_the_interval_of_a_mean_holds_it_as_often_as_it_says(rng):
     assert 0.92 <= held(student_mean, lambda: rng.normal(3.0, 2.0, 8), 3.0) <= 0.985
     assert 0.91 <= held(student_mean, lambda: rng.chisquare(6, 30) / 6, 1.0) <= 0.985
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize(("statistic", "truth"), [(np.mean, 1.5), (np.median, 3.0 * np.log(2) / 2)])
 def test_the_bootstrap_interval_holds_the_truth_of_skewed_errors(rng, statistic, truth):
     covered = held(lambda x: bootstrap(x, statistic), lambda: rng.exponential(1.5, 25), truth)
     assert 0.89 <= covered <= 0.985
 
 
+@pytest.mark.statistical
 def test_the_bootstrap_interval_of_few_trials_is_not_too_short(rng):
     assert held(lambda x: bootstrap(x, np.mean), lambda: rng.normal(size=6), 0.0) >= 0.91
 
