@@ -4,7 +4,8 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from typing import Any, Protocol, get_type_hints
@@ -100,6 +101,12 @@ class Estimator(Protocol):
 Build = Callable[[Problem, Mapping[str, Any]], Estimator]
 
 
+@lru_cache(maxsize=8)
+def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    """Entry points by name; the folders of all packages are read once for each path that is searched."""
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
 def find(name: str, *, section: str = "") -> Build:
     """Find an estimator's builder by its name, or by its module, ``my_module:build``.
 
@@ -107,7 +114,7 @@ def find(name: str, *, section: str = "") -> Build:
     parsed into the dataclass that its second parameter is annotated with. A ConfigError names the config
     section if it is another than the name.
     """
-    known = {entry.name: entry for entry in entry_points(group=GROUP)}
+    known = dict(_installed(tuple(sys.path)))
     if re.fullmatch(r"[\w.]+:[\w.]+", name) and name not in known:
         known[name] = EntryPoint(name, name, GROUP)
     if name not in known:
