@@ -1,0 +1,3 @@
+"""An estimator that nobody asked for: whoever imports it is told."""
+
+raise RuntimeError("an estimator was loaded that is in no config")
