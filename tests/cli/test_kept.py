@@ -248,7 +248,7 @@ def test_killed_at_any_moment_it_keeps_what_had_finished_and_goes_on(tmp_path):
     wanted = numbers(folder)
     names = list(document(folder)["runs"])
     rng = np.random.default_rng(20261129)
-    for number, share in enumerate(rng.uniform(0.2, 1.0, size=10)):
+    for number, share in enumerate(rng.uniform(0.2, 1.0, size=6)):
         killed = begin("--fresh")
         time.sleep(share * took)
         # Every other time the polite way, which ends with what there is.

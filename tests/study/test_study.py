@@ -65,6 +65,12 @@ def ran(monkeypatch):
     return seen
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """For tests that do not look at the page, which takes longer than the trials."""
+    monkeypatch.setattr(conduct, "write_study_page", lambda page, **parts: page.touch())
+
+
 def study(*extra):
     return main(["--config", "small.yaml", "--out", "out", *extra])
 
@@ -100,6 +106,7 @@ def test_a_study_on_two_processes_runs_every_seed_at_every_point(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_stopped_study_runs_only_what_is_missing(ran):
     assert study() == 0
     whole = table()
@@ -114,6 +121,7 @@ def test_a_stopped_study_runs_only_what_is_missing(ran):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_more_seeds_go_on_where_the_study_was(ran):
     assert study() == 0
     ran.clear()
@@ -122,6 +130,7 @@ def test_more_seeds_go_on_where_the_study_was(ran):
     assert len(table()) == 6
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_longest_drives_run_first_and_the_table_keeps_its_order(ran):
     assert study("--set", "study.grid={data.simulation.frames: [15, 25, 20]}") == 0
     assert [(point["data.simulation.frames"], seed) for point, seed in ran] == [
@@ -140,11 +149,13 @@ def test_the_time_left_is_known_of_trials_that_take_minutes():
         assert bar._drawn.tasks[0].time_remaining == pytest.approx(7 * 150.0, rel=0.01)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_the_metrics_that_are_asked_for_are_columns(ran):
     assert study("--set", "study.metrics=[ate_rmse]", "--set", "study.seeds=1") == 0
     assert list(table()[0])[-3:] == ["seconds", "dead_reckoning.ate_rmse", "ekf.ate_rmse"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failing_trial_is_a_row(ran, monkeypatch, capsys):
     def run_here(client, trials, **how):
         for trial in trials:
@@ -178,6 +189,7 @@ def incomplete(name, reason):
     return run_here
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_study_whose_trials_all_fail_says_why_and_exits_1(ran, monkeypatch, capsys):
     def run_here(client, trials, **how):
         for trial in trials:
@@ -200,6 +212,7 @@ def test_a_study_whose_trials_all_fail_says_why_and_exits_1(ran, monkeypatch, ca
     assert "4 trials, 4 of them are finished" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_study_in_which_no_run_finishes_says_why_and_exits_1(ran, monkeypatch, capsys):
     monkeypatch.setattr(conduct, "run_trials", incomplete(None, lambda seed: f"frame {seed}: lost"))
     assert study() == 1
@@ -211,6 +224,7 @@ def test_a_study_in_which_no_run_finishes_says_why_and_exits_1(ran, monkeypatch,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_study_in_which_some_runs_finish_counts_the_reasons_of_the_others(ran, monkeypatch, capsys):
     monkeypatch.setattr(
         conduct, "run_trials", incomplete("ekf", lambda seed: "x" * 400 if seed == 5 else "\x1b[2J")
@@ -224,6 +238,7 @@ def test_a_study_in_which_some_runs_finish_counts_the_reasons_of_the_others(ran,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_no_more_than_a_few_reasons_are_shown(ran, monkeypatch, capsys):
     kinds = iter("abcdefgh")
     monkeypatch.setattr(conduct, "run_trials", incomplete("ekf", lambda seed: next(kinds)))
@@ -236,6 +251,7 @@ def test_no_more_than_a_few_reasons_are_shown(ran, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_files_that_are_of_other_trials_are_told_and_run_again(ran, capsys):
     assert study() == 0
     whole = table()
@@ -274,6 +290,7 @@ def straight(path, *, step):
     Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_study_runs_again_if_a_file_that_it_reads_has_changed(ran):
     Path("rec.yaml").write_text(
         "name: rec\n"
@@ -296,6 +313,7 @@ def test_a_study_runs_again_if_a_file_that_it_reads_has_changed(ran):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_workers_that_are_gone_are_started_again_so_often(ran, monkeypatch, capsys):
     whole, starts = conduct.run_trials, []
 
@@ -333,6 +351,7 @@ def test_workers_of_a_scheduler_are_not_ours_to_start(ran, monkeypatch, capsys):
     assert "all workers are gone; what has finished is kept\n" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_lost_trials_are_run_again(ran, monkeypatch, capsys):
     whole = conduct.run_trials
 
