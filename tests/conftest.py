@@ -28,6 +28,19 @@ def pytest_addoption(parser):
     )
 
 
+def pytest_collection_modifyitems(items):
+    """Long ones first, so that no worker has one of them left when the others are done."""
+    items.sort(key=lambda item: not ({"statistical", "slow"} & item.keywords.keys()))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """One stretch of the list for each worker, so that few fixtures are made twice; who is done helps."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
 def _cpu() -> float:
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

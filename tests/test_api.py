@@ -109,7 +109,7 @@ def test_an_option_reaches_the_estimator():
 
 def test_a_recording_is_read_and_inspected(elsewhere):
     simulate = import_module("vislam.cli.simulate")
-    assert simulate.main(["tiny", "--out", "drive.npz"]) == 0
+    assert simulate.main(["tiny", "--out", "drive.npz", "--set", "data.simulation.frames=16"]) == 0
     sequence = vislam.datasets.open("drive.npz")
     assert sequence.observations > 100
     found = [vislam.inspect(sequence), vislam.inspect("drive.npz"), vislam.inspect(Path("drive.npz"))]

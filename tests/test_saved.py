@@ -186,7 +186,7 @@ def one_of(data, path):
     return data.draw(st.sampled_from([name.removesuffix(".npy") for name, _ in members(path)]))
 
 
-@fuzz
+@settings(fuzz, max_examples=20)
 @given(data=st.data(), name=st.sampled_from(ARCHIVES), change=array_changes)
 def test_an_array_that_is_another(data, name, change, copy, capsys):
     folder = copy()
@@ -266,7 +266,7 @@ def edited(data, tree):
     return tree
 
 
-@fuzz
+@settings(fuzz, max_examples=20)
 @given(data=st.data(), name=st.sampled_from(ARCHIVES))
 def test_plain_data_that_are_others(data, name, copy, capsys):
     folder = copy()

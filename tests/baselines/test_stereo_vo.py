@@ -105,6 +105,7 @@ def test_a_step_is_as_uncertain_as_it_says(rng):
     assert 5.0 < np.mean(nees) < 7.5
 
 
+@pytest.mark.statistical
 def test_the_weighted_sum_of_squares_is_that_of_its_distribution(rng):
     share = []
     for _ in range(100):

@@ -154,7 +154,7 @@ def test_a_recorded_file_is_read_and_its_missing_reference_is_said(tmp_path, cap
         "name: s\ndata: {file: small.npz, reference: {file: no.txt, format: planar_xy, name: r, limits: l}}\n"
     )
     config = config_file(tmp_path / "c.yaml", text)
-    assert main(["--config", config, "--data-dir", str(tmp_path), "--estimators", "ekf"]) == 0
+    assert main(["--config", config, "--data-dir", str(tmp_path), "--estimators", "ekf", "--no-report"]) == 0
     assert "no.txt not found" in capsys.readouterr().out
     document = json.loads(next((tmp_path / "results").rglob("metrics.json")).read_text())
     assert document["dataset"]["stand_in"] is False

@@ -133,7 +133,7 @@ each_fault = pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__
 def test_each_fault_alone(tmp_path, fault, monkeypatch):
     # Its figures are made here and rendered below, which takes as long again.
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **how: file.touch())
-    look_at(fault(drive(26, 14.0)), tmp_path)
+    look_at(fault(drive(20, 12.0)), tmp_path)
 
 
 @pytest.mark.slow

@@ -54,6 +54,7 @@ def test_no_track_is_lost_in_the_frame_of_a_burst():
         assert np.isin(ids(sequence, k - 1), ids(sequence, k)).all()
 
 
+@pytest.mark.statistical
 def test_after_a_burst_there_are_as_many_tracks_as_drawn():
     config = replace(BURSTS, frames=2000, tracks_in_view=100, tracks_spread=0.1)
     sequence, _ = simulated(config)
@@ -109,6 +110,7 @@ def survival(config):
     return np.concatenate(flow), np.concatenate(kept)
 
 
+@pytest.mark.statistical
 def test_losses_grow_with_the_flow_as_set():
     config = replace(STEADY, loss_probability=0.0, pixel_sigma_px=0.0, loss_flow_px=100.0)
     flow, kept = survival(config)
@@ -120,6 +122,7 @@ def test_losses_grow_with_the_flow_as_set():
         assert kept[inside].sum() == pytest.approx(chance[inside].sum(), abs=5.0 * sigma)
 
 
+@pytest.mark.statistical
 def test_without_the_setting_losses_have_nothing_to_do_with_the_flow():
     flow, kept = survival(replace(STEADY, loss_probability=0.1, pixel_sigma_px=0.0))
     fast = flow > np.quantile(flow, 0.8)
@@ -128,6 +131,7 @@ def test_without_the_setting_losses_have_nothing_to_do_with_the_flow():
     assert kept[~fast].mean() == pytest.approx(0.9, abs=within)
 
 
+@pytest.mark.statistical
 def test_the_match_errs_by_a_student_share_that_stays_with_the_track():
     config = replace(STEADY, pixel_sigma_px=0.0, match_share=0.05, loss_probability=0.2)
     sequence, truth = simulated(config)

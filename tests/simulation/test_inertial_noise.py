@@ -88,6 +88,7 @@ def test_samples_are_what_they_were_before_there_were_steps():
     )
 
 
+@pytest.mark.statistical
 def test_each_seed_draws_its_bias_about_the_stated_one_and_nothing_else_changes():
     short = replace(QUIET, frames=3)
     drawn = replace(short, gyro_bias_sigma=(0.02, 0.01, 0.0), velocity_bias_sigma=(0.01, 0.05, 0.02))
