@@ -136,16 +136,17 @@ def test_a_drive_without_tracks_is_unclear_not_a_crash():
 
 @pytest.mark.statistical
 def test_rates_of_false_alarms_and_of_misses():
-    # Measured: no false alarm in 130 checks of clean drives, no miss in 44 planted traps.
+    # Measured: no false alarm in 130 checks of clean drives, no miss in 44 planted traps. An inspection that
+    # misses one trap in four would miss three of 33 or fewer twice in a hundred times.
     clean = [inspected(CLEAN, seed=seed) for seed in range(10, 20)]
     checks = [item for result in clean for item in result.findings]
     alarms = [item.check for item in checks if item.verdict == "fault"]
     misses = {
-        trap: sum(planted(trap, seed=seed).verdict != "fault" for seed in range(20, 24)) for trap in TRAPS
+        trap: sum(planted(trap, seed=seed).verdict != "fault" for seed in range(20, 23)) for trap in TRAPS
     }
-    print(f"\nfalse alarms {len(alarms)} of {len(checks)} {alarms}; misses of 4 {misses}")
+    print(f"\nfalse alarms {len(alarms)} of {len(checks)} {alarms}; misses of 3 {misses}")
     assert len(alarms) <= 0.03 * len(checks)
-    assert sum(misses.values()) <= 0.1 * 4 * len(TRAPS)
+    assert sum(misses.values()) <= 0.1 * 3 * len(TRAPS)
 
 
 @pytest.mark.parametrize(
