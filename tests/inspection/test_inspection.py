@@ -75,7 +75,7 @@ def planted(trap, *, seed, frames=CLEAN.frames):
     [trap if trap in QUICK else pytest.param(trap, marks=pytest.mark.slow) for trap in sorted(TRAPS)],
 )
 def test_a_planted_trap_is_found_and_answered(trap):
-    finding = planted(trap, seed=2, frames=80 if trap in QUICK else CLEAN.frames)
+    finding = planted(trap, seed=2, frames=50 if trap in QUICK else CLEAN.frames)
     assert finding.verdict == "fault", finding.text
     assert finding.proposal
 
