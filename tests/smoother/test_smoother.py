@@ -42,7 +42,14 @@ def test_triangulation_finds_the_point_and_waits_for_the_far_one():
     poses = se3.exp(np.array([[0, 0, 0, 0.4 * k, 0, 0] for k in range(4)], dtype=float))
     z = views_of(points, poses)
     z[2, 3] += [40.0, 40.0, 0.0]
-    found = starts(RIG, np.broadcast_to(poses, (3, 4, 4, 4)), z, np.full((3, 4, 3), 0.5), clear=5.0)
+    found = starts(
+        RIG,
+        np.broadcast_to(poses, (3, 4, 4, 4)),
+        z,
+        np.full((3, 4, 3), 0.5),
+        clear=5.0,
+        judged=np.ones((3, 4), bool),
+    )
     assert found.ready.tolist() == [True, False, False]
     assert np.allclose(found.points_world[0], points[0], atol=1e-6)
 
@@ -54,7 +61,7 @@ def test_triangulation_refuses_what_is_no_point():
     z[1, 0, 1] = z[1, 0, 0] - 1e6
     far = np.broadcast_to(poses, (4, 3, 4, 4)).copy()
     far[2, 1:, :3, 3] = [1e9, 0.0, 0.0]
-    found = starts(RIG, far, z, np.full((4, 3, 3), 0.5), clear=5.0)
+    found = starts(RIG, far, z, np.full((4, 3, 3), 0.5), clear=5.0, judged=np.ones((4, 3), bool))
     assert found.ready.tolist() == [False, False, False, True]
     assert np.allclose(found.points_world[3], points[3], atol=1e-6)
 

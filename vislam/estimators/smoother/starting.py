@@ -30,7 +30,7 @@ class Start:
     clear : (n,)
         Whether its disparity stands clear.
     worst : (n,)
-        Largest residual of its views, in standard deviations.
+        Largest residual of the views that are judged, in standard deviations.
     """
 
     points_world: Array
@@ -56,7 +56,20 @@ class Start:
         return np.asarray(self.clear & (self.worst < 2.0 * np.median(self.worst[self.clear])))
 
 
-def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float) -> Start:
+def better(one: Start, other: Start) -> Start:
+    """For each track, what ``other`` says where only that is ready, else what ``one`` says."""
+    take = other.ready & ~one.ready
+    return Start(
+        np.where(take[:, None], other.points_world, one.points_world),
+        np.where(take, other.depth, one.depth),
+        np.where(take, other.clear, one.clear),
+        np.where(take, other.worst, one.worst),
+    )
+
+
+def starts(
+    rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear: float, judged: BoolArray
+) -> Start:
     """Find where tracks start, from all their views.
 
     Parameters
@@ -70,11 +83,13 @@ def starts(rig: StereoRig, world_T_imu: Array, z: Array, sigma: Array, *, clear:
         Their standard deviations [px]; infinite where a track has no such view.
     clear : float
         How many standard deviations the disparity must be away from zero.
+    judged : (n, V)
+        Views whose residuals are looked at.
     """
     world_T_cam = world_T_imu @ rig.imu_T_cam
     found = triangulate(rig, world_T_cam, z, sigma)
     stands_clear = found.solved & (found.disparity > clear * found.disparity_sigma)
-    worst = np.max(np.abs(found.residual) / sigma, axis=(1, 2))
+    worst = np.max(np.where(judged[..., None], np.abs(found.residual) / sigma, 0.0), axis=(1, 2))
     points_cam = rig.back_project(np.where(stands_clear[:, None], found.mean, [1.0, 0.0, 0.0]))
     points_world = se3.transform(world_T_cam[:, 0], points_cam[:, None])[:, 0]
     return Start(points_world, points_cam[:, 2], stands_clear, worst)

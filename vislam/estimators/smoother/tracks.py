@@ -8,7 +8,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.keys import landmark
-from vislam.estimators.smoother.starting import Start, starts
+from vislam.estimators.smoother.starting import Start, better, starts
 from vislam.models import StereoRig
 
 _CHUNK = 512
@@ -109,11 +109,14 @@ class Tracks:
     ) -> list[Track]:
         """Make landmarks of those waiting tracks whose depth has become clear, and return them.
 
+        What does not fit in the newest frame is not held against a track, for its pose is only predicted: no
+        residual in it is looked at, and a track that is not ready with its view there may be without it.
+
         Parameters
         ----------
         rig : StereoRig
         poses : sequence of (4, 4)
-            Poses of all frames so far.
+            Poses of all frames so far, the newest a prediction.
         clear : float
             How many standard deviations the disparity must be away from zero.
         most : int
@@ -130,7 +133,10 @@ class Tracks:
                 candidates.append(track)
         if not candidates:
             return []
-        found = locate(rig, candidates, poses, clear=clear)
+        newest = len(poses) - 1
+        found = locate(rig, candidates, poses, clear=clear, predicted=newest)
+        without = locate(rig, candidates, poses, clear=clear, predicted=newest, fitted=False)
+        found = better(found, without)
         started = []
         self._frames_without = 0 if self.in_view or found.ready.any() else self._frames_without + 1
         ready = found.ready_alone if self._frames_without > _PATIENCE else found.ready
@@ -157,8 +163,30 @@ class Tracks:
         self.set_aside += len(tracks)
 
 
-def locate(rig: StereoRig, tracks: Sequence[Track], poses: Sequence[Array], *, clear: float) -> Start:
-    """Triangulate tracks from all their views at given poses, ``poses[k] (4, 4)`` that of frame k."""
+def locate(
+    rig: StereoRig,
+    tracks: Sequence[Track],
+    poses: Sequence[Array],
+    *,
+    clear: float,
+    predicted: int | None = None,
+    fitted: bool = True,
+) -> Start:
+    """Triangulate tracks from their views at given poses.
+
+    Parameters
+    ----------
+    rig : StereoRig
+    tracks : sequence of Track
+    poses : sequence of (4, 4)
+        ``poses[k]`` is that of frame k.
+    clear : float
+        How many standard deviations the disparity must be away from zero.
+    predicted : int, optional
+        Frame whose pose is a prediction: residuals in it are not looked at.
+    fitted : bool
+        Whether the points are fitted to the views in that frame.
+    """
     counts = np.array([len(track.views) for track in tracks])
     order = np.argsort(counts, kind="stable")
     first = min(track.views[0].k for track in tracks)
@@ -176,7 +204,10 @@ def locate(rig: StereoRig, tracks: Sequence[Track], poses: Sequence[Array], *, c
         frames[at] = [view.k for view in views]
         z[at] = [view.z for view in views]
         sigma[at] = [view.sigma for view in views]
-        parts.append(starts(rig, near[frames - first], z, sigma, clear=clear))
+        judged = at & (frames != predicted)
+        if not fitted:
+            sigma[~judged & (np.arange(most) > 0)] = np.inf
+        parts.append(starts(rig, near[frames - first], z, sigma, clear=clear, judged=judged))
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Start(
