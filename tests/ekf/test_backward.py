@@ -30,7 +30,7 @@ RELATIVE = 1e-8
 def both(dataset: Dataset, config: Config, **options) -> tuple[Smoothed, DenseFilter, EkfEstimator]:
     """What the way back says, and the dense filter after the same frames."""
     problem = make_problem(config, dataset)
-    working = EkfEstimator(problem, EkfOptions(gate=False, smoothed=True, **options))
+    working = EkfEstimator(problem, EkfOptions(gate=False, smoothed=True, track_errors="states", **options))
     form = {key: value for key, value in options.items() if key in ("error", "landmarks")}
     dense = DenseFilter(problem, keep_poses=True, **form)
     for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
@@ -84,7 +84,7 @@ def test_it_is_later_data_that_make_the_difference(short: Dataset, short_config:
     _, dense, _ = both(short, short_config)
     problem = make_problem(short_config, short)
     left = run(
-        EkfEstimator(problem, EkfOptions(gate=False, finished="as_left")),
+        EkfEstimator(problem, EkfOptions(gate=False, finished="as_left", track_errors="states")),
         short.sequence,
         pixel_sigma(short_config, short),
         name="left",

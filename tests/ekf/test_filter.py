@@ -33,7 +33,10 @@ def filtered(config: Config, dataset: Dataset) -> Run:
 
 def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
     problem = make_problem(short_config, short)
-    working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
+    working, dense = (
+        EkfEstimator(problem, EkfOptions(gate=False, track_errors="states")),
+        DenseFilter(problem),
+    )
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
         step = working.process(frame)
         dense.process(frame)
@@ -46,7 +49,10 @@ def test_it_equals_the_dense_filter(short: Dataset, short_config: Config):
 
 def test_landmarks_in_view_equal_the_dense_filters(short: Dataset, short_config: Config):
     problem = make_problem(short_config, short)
-    working, dense = EkfEstimator(problem, EkfOptions(gate=False)), DenseFilter(problem)
+    working, dense = (
+        EkfEstimator(problem, EkfOptions(gate=False, track_errors="states")),
+        DenseFilter(problem),
+    )
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
         working.process(frame)
         dense.process(frame)
@@ -141,7 +147,8 @@ def test_the_huber_weight_is_that_of_the_density(short: Dataset, short_config: C
 
 
 def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
-    ungated = EkfEstimator(make_problem(short_config, short), EkfOptions(gate=False))
+    options = EkfOptions(gate=False, track_errors="states")
+    ungated = EkfEstimator(make_problem(short_config, short), options)
     result = run(ungated, short.sequence, pixel_sigma(short_config, short), name="ekf")
     ratio = result.innovations.nis.sum() / result.innovations.dof.sum()
     # Five standard deviations of a chi-square of that size.

@@ -66,7 +66,7 @@ def test_the_way_back_takes_nothing_from_the_meter(short, short_config):
 
 def test_the_noise_of_an_update_is_found_in_it(short, short_config):
     problem = make_problem(short_config, short)
-    solver = EkfEstimator(problem, EkfOptions(gate=False))
+    solver = EkfEstimator(problem, EkfOptions(gate=False, track_errors="states"))
     updates = 0
     for frame in short.sequence.frames(pixel_sigma(short_config, short)):
         solver.process(frame)

@@ -113,7 +113,9 @@ def climbing(
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"error": "standard", "landmarks": "point"}], ids=["invariant", "ekf"]
+    "options",
+    [{}, {"error": "standard", "landmarks": "point", "track_errors": "states"}],
+    ids=["invariant", "ekf"],
 )
 def test_the_climb_rate_holds_the_height(short_config: Config, options):
     with_climb, dataset, estimator = climbing(short_config, climb=ClimbConfig(), **options)
@@ -157,7 +159,9 @@ def test_robust_weights_bear_outliers_that_nothing_gates(short_config: Config, r
 def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config: Config, monkeypatch):
     """There the correction is ``P H^T R^-1`` times what is left of the innovation, H taken there, too."""
     problem = make_problem(short_config, short)
-    estimator = EkfEstimator(problem, EkfOptions(gate=False, iterations=20, finished="as_left"))
+    estimator = EkfEstimator(
+        problem, EkfOptions(gate=False, iterations=20, finished="as_left", track_errors="states")
+    )
     checked = []
 
     def check(state: JointState, update: Update) -> None:

@@ -18,7 +18,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
-_OPTIONS = EkfOptions(finished="as_left")
+_OPTIONS = EkfOptions(finished="as_left", track_errors="states")
 """The standard filter, without the way back: only innovations are wanted."""
 
 

@@ -50,11 +50,15 @@ class Parameter:
         return float(np.exp(searched)) if self.logarithmic else searched
 
 
-def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> list[Parameter]:
-    """List what is searched: pixel noise, side slip and heave, clock, and what else is asked for.
+def parameters(
+    config: Config | None = None, *, inertial: bool = False, disparity_offset: bool = False
+) -> list[Parameter]:
+    """List what is searched: pixel noise, side slip and heave, clock, and what else is asked for or in use.
 
     Parameters
     ----------
+    config : Config, optional
+        Where it uses a climb rate or a smooth motion of the body, their levels are searched too.
     inertial : bool
         The noise of the gyro and of the forward velocity too. Innovations reach no farther than a track, so
         they cannot tell noise that accumulates from vibration between the samples or an error that all tracks
@@ -74,6 +78,13 @@ def parameters(*, inertial: bool = False, disparity_offset: bool = False) -> lis
             _density("gyro", _GYRO, unit="rad/sqrt(s)", lowest=2e-5),
             _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
         ]
+    if config is not None and config.noise.acceleration_density is not None:
+        found += [
+            _density("turning", slice(0, 3), unit="rad/s/sqrt(s)", lowest=1e-3, of="acceleration_density"),
+            _density("moving", slice(3, 6), unit="m/s/sqrt(s)", lowest=1e-2, of="acceleration_density"),
+        ]
+    if config is not None and config.noise.climb is not None:
+        found.append(_CLIMB_WALK)
     if disparity_offset:
         found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=0.02))
     return found
@@ -89,16 +100,19 @@ def _pixel(name: str, *, lowest: float) -> Parameter:
     return Parameter(f"noise.{name}", "px", read, write, True, 0.03, lowest)
 
 
-def _density(name: str, part: slice, *, unit: str, lowest: float) -> Parameter:
+def _density(name: str, part: slice, *, unit: str, lowest: float, of: str = "twist_density") -> Parameter:
+    """Level of some components of a density; the others stay what they are, and these keep their ratios."""
+
     def read(config: Config) -> float:
-        return float(np.mean(config.noise.twist_density[part]))
+        return float(np.mean(getattr(config.noise, of)[part]))
 
     def write(config: Config, value: float) -> Config:
-        density = np.array(config.noise.twist_density)
-        density[part] = value
-        return replace(config, noise=_changed(config.noise, {"twist_density": tuple(density.tolist())}))
+        density = np.array(getattr(config.noise, of))
+        mean = np.mean(density[part])
+        density[part] = density[part] * (value / mean) if mean > 0.0 else value
+        return replace(config, noise=_changed(config.noise, {of: tuple(density.tolist())}))
 
-    return Parameter(f"noise.twist_density ({name})", unit, read, write, True, 0.05, lowest)
+    return Parameter(f"noise.{of} ({name})", unit, read, write, True, 0.05, lowest)
 
 
 def _changed(noise: NoiseConfig, values: dict[str, Any]) -> NoiseConfig:
@@ -121,5 +135,20 @@ def _of_step(
     return Parameter(f"data.repair.{name}.{option}", unit, read, write, False, step)
 
 
+def _climb_walk() -> Parameter:
+    def read(config: Config) -> float:
+        assert config.noise.climb is not None
+        return config.noise.climb.walk
+
+    def write(config: Config, value: float) -> Config:
+        assert config.noise.climb is not None
+        return replace(
+            config, noise=_changed(config.noise, {"climb": replace(config.noise.climb, walk=value)})
+        )
+
+    return Parameter("noise.climb.walk", "m/sqrt(s)", read, write, True, 0.05, 1e-3)
+
+
+_CLIMB_WALK = _climb_walk()
 MATCH = _pixel("match_px", lowest=0.02)
 """The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""

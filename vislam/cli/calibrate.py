@@ -67,7 +67,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         result = calibrate(
             config,
             replace(dataset, reference=None),
-            parameters(inertial=options.inertial, disparity_offset=options.disparity_offset),
+            parameters(config, inertial=options.inertial, disparity_offset=options.disparity_offset),
             processes=options.processes,
             say=terminal.note,
             keep=out.keep,

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam.base.errors import ConfigError, DataError, Interrupted
+from vislam.base.errors import ConfigError, DataError, DivergedError, Interrupted
 from vislam.base.files import check_writable, folder_name
 from vislam.base.progress import Progress
 from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
-from vislam.comparison.config import Config
+from vislam.comparison.config import LIST_MAKER, Config
 from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
-from vislam.comparison.members import Member, Unbuilt, members
+from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
 from vislam.comparison.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.comparison.running import Runner
@@ -172,7 +172,7 @@ def prepare(
     """
     require_usable(dataset)
     found = members(config)
-    estimators = build_estimators(config, dataset, found)
+    build_estimators(config, dataset, found)
     for note in dataset.notes:
         progress.note(note)
     sigma = pixel_sigma(config, dataset)
@@ -187,9 +187,17 @@ def prepare(
     )
     frozen = None
     if config.frozen_by:
-        gating = {name: found[name].build(make_problem(config, dataset)) for name in config.frozen_by}
+        makers = list_makers(config, found)
+        gating = {name: maker.build(make_problem(config, dataset)) for name, maker in makers.items()}
         exempt = tuple(name for name, member in found.items() if member.takes_all)
-        frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
+        try:
+            frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
+        except (ConfigError, DivergedError) as failure:
+            # What nobody asked for stops no run that was asked for.
+            if config.frozen_by != (LIST_MAKER,):
+                raise
+            progress.note(f"{failure}; each run is given all observations and gates for itself")
+    estimators = build_estimators(config, dataset, found, listed=frozen is not None)
     return Prepared(config, _record(dataset, sigma, held=held, frozen=frozen), runner, estimators)
 
 
@@ -212,17 +220,19 @@ def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Resu
 
 
 def build_estimators(
-    config: Config, dataset: Dataset, found: Mapping[str, Member]
+    config: Config, dataset: Dataset, found: Mapping[str, Member], *, listed: bool = False
 ) -> dict[str, Estimator | Unbuilt]:
     """Build the members of a comparison, in order; a ConfigError names a wrong option.
+
+    Where observations are ``listed``, nobody that is given the list gates for itself.
 
     Each has a problem of its own, so that none can change what another was given.
     """
     built = {}
     for name, member in found.items():
         problem = make_problem(config, dataset)
-        # Who is given a frozen list does not gate; who is given all observations does as it is told.
-        if config.frozen_by and not member.takes_all:
+        # Who is given all observations does as it is told.
+        if listed and not member.takes_all:
             problem = replace(problem, gate_probability=1.0)
         built[name] = member.build(problem)
     return built

@@ -89,6 +89,10 @@ class DataConfig:
             raise ValueError("inertial replaces the samples of a recording: file must be given")
 
 
+LIST_MAKER = "ekf_invariant"
+"""Estimator that decides which observations all are given: a filter that gates by what is uncertain, and is
+consistent."""
+
 Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 
@@ -159,12 +163,13 @@ class Config:
     """What is kept from every estimator, to score them by without a reference."""
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
     """Share of good observations that the chi-square gate lets pass."""
-    gates_from: str | None = "ekf"
+    gates_from: str | None = None
     """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
     where there is ``frozen_by``."""
-    frozen_by: tuple[str, ...] = ()
-    """Runs that make a frozen list of observations: they go first, one after the other, each refused what
-    those before it left out. Then all run afresh on what each of these fused, and none gates for itself."""
+    frozen_by: tuple[str, ...] = (LIST_MAKER,)
+    """Runs, or estimators, that decide which observations all are given: they go first, one after the other,
+    each without what those before it left out. Then all run on what each of these fused, of the tracks that
+    were seen more than once, and none gates for itself. Empty: each is given everything."""
     estimators: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {"dead_reckoning": {}, "ekf": {}, "isam2": {}}
     )

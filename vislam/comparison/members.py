@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.fields import STRICT
 from vislam.comparison import config as configuration
-from vislam.comparison.config import Config
+from vislam.comparison.config import LIST_MAKER, Config
 from vislam.core import estimator
 from vislam.core.estimator import Build, Estimator, Problem
 
@@ -76,11 +76,12 @@ class Unbuilt:
 
 def members(config: Config) -> dict[str, Member]:
     """Members of a comparison by the name of their run, in order; a ConfigError names the key."""
-    for key, names in (("frozen_by", config.frozen_by), ("ladder", config.ladder)):
-        for name in names:
-            if name not in config.estimators:
-                raise ConfigError(f"{key}: expected names out of {', '.join(config.estimators)}, got {name}")
-    _refuse_unknown_gate(config)
+    for name in config.ladder:
+        if name not in config.estimators:
+            raise ConfigError(f"ladder: expected names out of {', '.join(config.estimators)}, got {name}")
+    by = config.gates_from
+    if by is not None and by not in config.estimators:
+        raise ConfigError(f"gates_from: expected a run ({', '.join(config.estimators)}) or null, got {by}")
     found = {name: _member(name, section) for name, section in config.estimators.items()}
     for name, member in found.items():
         if member.takes_all and not config.frozen_by:
@@ -90,14 +91,15 @@ def members(config: Config) -> dict[str, Member]:
     return found
 
 
-def _refuse_unknown_gate(config: Config) -> None:
-    """Raise ConfigError if the gate decisions are to come from a run that there is not.
+def list_makers(config: Config, found: Mapping[str, Member]) -> dict[str, Member]:
+    """Who decides which observations all are given, by name, in order: runs of the config, or estimators."""
+    return {name: found[name] if name in found else _list_maker(name) for name in config.frozen_by}
 
-    The default may name none: without a run called ``ekf``, each gates for itself.
-    """
-    by, default = config.gates_from, Config.__dataclass_fields__["gates_from"].default
-    if by is not None and by != default and by not in config.estimators:
-        raise ConfigError(f"gates_from: expected a run ({', '.join(config.estimators)}) or null, got {by}")
+
+def _list_maker(name: str) -> Member:
+    # The standard one need not finish its map.
+    options = {"finished": "as_left"} if name == LIST_MAKER else {}
+    return Member(estimator.find(name, section="frozen_by"), options, takes_all=False)
 
 
 def _member(name: str, section: Mapping[str, Any]) -> Member:

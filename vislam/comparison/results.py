@@ -21,6 +21,7 @@ from vislam.core.record import Record
 from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
+from vislam.evaluation.information import SharedInformation, shared_information, unequal_line
 from vislam.report.figures import all_figures
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
@@ -64,6 +65,10 @@ class Results:
     def frozen_told(self) -> str:
         """What there is to say of the frozen list; nothing without one."""
         return "" if self.record.frozen is None else self.record.frozen.tell(self._own())
+
+    def shared_information(self) -> list[SharedInformation]:
+        """What each pair of the comparison's own runs had in common."""
+        return shared_information(self._own(), self.record.frozen)
 
     def not_fused(self) -> dict[str, int]:
         """How many observations of the frozen list each run that is bound to it did not fuse."""
@@ -215,6 +220,7 @@ def metrics_document(
             }
             for name, run in results.runs.items()
         },
+        "equal_information": [item.record() for item in results.shared_information()],
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
         "statistics": evaluation.statistic_records(),
@@ -232,6 +238,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
     progress.note(f"{published.path.stem}: {published.path}")
     if told := results.frozen_told():
         progress.note(told)
+    if unequal := unequal_line(results.shared_information()):
+        progress.note(unequal)
     for name, run in results.runs.items():
         if not run.complete:
             progress.note(f"{name} is incomplete: {run.log.error}")

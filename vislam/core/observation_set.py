@@ -65,7 +65,8 @@ class FrozenList:
         """Say in a few sentences what the list is and who kept to it."""
         said = [
             f"Frozen list {self.digest}: {np.count_nonzero(self.kept)} of {len(self.kept)} observations, "
-            f"which {_listed(self.by)} fused; on it, no estimator gates for itself."
+            f"which {_listed(self.by)} fused and whose tracks were seen again; on it, no estimator gates for "
+            "itself."
         ]
         left = [f"{name} {count}" for name, count in self.not_fused(runs).items() if count]
         said.append(
@@ -75,6 +76,12 @@ class FrozenList:
         if given_all:
             said.append(f"Given all observations instead: {_listed(given_all)}.")
         return " ".join(said)
+
+
+def seen_again(sequence: data.Sequence, kept: BoolArray) -> BoolArray:
+    """Mask ``(n,)`` of the observations whose track has more than one among those of the mask ``(n,)``."""
+    _, track = np.unique(sequence.track, return_inverse=True)
+    return np.asarray(np.bincount(track, weights=kept)[track] > 1.0)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -65,6 +65,7 @@ _TABLE: Table = {
     "fit": Plain(tuple[Level, int] | None),
     "blind": Plain(bool),
     "identity": Plain(str),
+    "information": Plain(dict[str, str]),
 }
 """The fields of a saved run: type, shape and range of each, a letter for each size."""
 
@@ -193,6 +194,9 @@ class Run:
         Whether the estimator is not meant to use the camera.
     identity : str
         Hash of all that decides the run; empty if it is not known.
+    information : dict of str to str
+        How the estimator says that it takes what it is given, by what that is: the noise of the tracks, their
+        outliers. Empty if it does not say.
     """
 
     name: str
@@ -212,6 +216,7 @@ class Run:
     fit: tuple[float, int] | None = None
     blind: bool = False
     identity: str = ""
+    information: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def without_frames(cls, name: str, log: Log, *, frames_expected: int, observations: int) -> "Run":

@@ -83,7 +83,11 @@ def run(
             failure = raised
         total = time.perf_counter() - started
     found = journal.run(name, failure=failure, total_time=total, peak_rss=memory.peak)
-    found = replace(found, blind=bool(getattr(estimator, "blind", False)))
+    found = replace(
+        found,
+        blind=bool(getattr(estimator, "blind", False)),
+        information=dict(getattr(estimator, "information", {})),
+    )
     if failure is not None and _from_outside(failure):
         raise RunInterrupted(found) from None
     return found

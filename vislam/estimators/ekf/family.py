@@ -11,6 +11,7 @@ from vislam.estimators.ekf.options import EkfOptions
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {},
+    "ekf_track_states": {"track_errors": "states"},
     "ekf_iterated": {"iterations": 5},
     "ekf_fej": {"error": "first_estimates", "landmarks": "disparity"},
     "ekf_invariant": {"error": "invariant", "landmarks": "disparity"},
@@ -27,6 +28,7 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> EkfEstim
 
 
 build = partial(_member, "ekf")
+build_track_states = partial(_member, "ekf_track_states")
 build_iterated = partial(_member, "ekf_iterated")
 build_fej = partial(_member, "ekf_fej")
 build_invariant = partial(_member, "ekf_invariant")

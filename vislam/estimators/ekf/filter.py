@@ -58,6 +58,10 @@ class EkfEstimator:
         if options.finished == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = Unobservable(layout.size) if options.observability else None
+        self.information = {
+            "noise of the tracks": "independent" if self._independent else "drift and match error as states",
+            "kernel": options.robust,
+        }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []
 
@@ -114,7 +118,7 @@ class EkfEstimator:
             state.nav = self._motion.first(self._layout, state.nav, frame)
         else:
             state.predict(self._motion.propagate(self._layout, state.nav, frame))
-        self._measure(state, frame)
+        told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
         if self._track_noise.drift > 0.0:
             state.wander(view.drift_cov(self._track_noise.drift))
@@ -134,7 +138,7 @@ class EkfEstimator:
             states={TWIST_BIAS: State(state.nav[bias].copy(), np.sqrt(np.diagonal(state.cov)[bias]))},
             nis=0.0 if update is None else update.nis,
             dof=dof,
-            log_likelihood=0.0 if update is None else _log_density(update, dof),
+            log_likelihood=told + (0.0 if update is None else _log_density(update, dof)),
             used=used,
             gated=all_gated,
         )
@@ -203,13 +207,17 @@ class EkfEstimator:
             return (_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)
         return np.ones(len(distance))
 
-    def _measure(self, state: JointState, frame: Frame) -> None:
-        """Fuse what the model of motion measures."""
+    def _measure(self, state: JointState, frame: Frame) -> float:
+        """Fuse what the model of motion measures; returns the logarithm of its density."""
+        density = 0.0
         for found in self._motion.measurements(self._layout, state.world_T_imu, state.nav, frame):
             jacobian = Jacobian(found.by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
             projected = jacobian.times(state.cov)
             spread = jacobian.times(projected.T) + np.diag(found.variance)
-            state.correct(Update.of(jacobian, projected, spread, found.innovation))
+            update = Update.of(jacobian, projected, spread, found.innovation)
+            state.correct(update)
+            density += _log_density(update, len(found.innovation))
+        return density
 
     def _offset(self, nav: Array) -> float:
         """How much too large all disparities are in a navigation state [px]."""

@@ -25,9 +25,10 @@ class EkfOptions:
     """Refuse observations by a chi-square test of their innovation."""
     robust: Literal["none", "huber", "student"] = "none"
     """Take observations that fit badly for noisier than they are, by the weights of this distribution."""
-    track_errors: Literal["states", "independent"] = "states"
-    """``states``: drift and match error of each track are part of the state. ``independent``: they are taken
-    for white noise of the same mean variance, as a smoother of plain stereo factors has to."""
+    track_errors: Literal["states", "independent"] = "independent"
+    """``independent``: drift and match error of the tracks are taken for white noise of the same mean
+    variance, as a smoother of plain stereo factors has to. ``states``: those of each track are part of the
+    state."""
     finished: Literal["smoothed", "as_left"] = "smoothed"
     """What a landmark whose track has ended is told of later data: all, by the way back over the steps, or
     nothing."""

@@ -41,6 +41,7 @@ class SmootherEstimator:
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self.tell: Tell = _log.info
         self._problem, self._options = problem, options
+        self.information = {"noise of the tracks": _noise(options), "kernel": _kernel(options)}
         self._motion = motion.make(problem)
         self._stereo = StereoFactors(problem.rig, robust=options.robust, threshold=options.robust_threshold)
         self._solver = Solver(problem.rig, options, self._motion, self._stereo)
@@ -156,3 +157,15 @@ class SmootherEstimator:
 
 def _stopped(what: str, budget: Budget, by: str) -> str:
     return f"{what}: stopped after {budget.done} iterations ({by})"
+
+
+def _noise(options: SmootherOptions) -> str:
+    return "independent" if options.factors == "stereo" else "independent, rows as noisy as columns"
+
+
+def _kernel(options: SmootherOptions) -> str:
+    """What takes outliers' weight, in words; the threshold counts only where it is not the usual one."""
+    if options.final == "gnc":
+        return "truncated least squares"
+    threshold = "" if options.robust_threshold is None else f", threshold {options.robust_threshold:g}"
+    return f"{options.robust}{threshold}"

@@ -1,0 +1,90 @@
+"""Whether runs had the same information: else what tells them apart is not inference alone."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from vislam.core.observation_set import FrozenList
+from vislam.core.run import Run
+
+LARGEST_SHARE = 0.01
+"""Share of the common observations that a run may leave out, and its information still be called the same."""
+
+
+@dataclass(frozen=True)
+class SharedInformation:
+    """What two runs had in common.
+
+    Attributes
+    ----------
+    pair : tuple of str
+    equal : bool
+    differs : tuple of str
+        In what they differ, a line each; empty if they are equal.
+    """
+
+    pair: tuple[str, str]
+    equal: bool
+    differs: tuple[str, ...]
+
+    def record(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+def shared_information(runs: Mapping[str, Run], frozen: FrozenList | None) -> list[SharedInformation]:
+    """Compare the information of each pair of complete runs that use the camera.
+
+    Noise of the motion, priors, cuts and repairs are the comparison's own and the same for all. What may
+    differ is which observations a run was given and has taken, and how it says that it takes their noise and
+    outliers.
+
+    Parameters
+    ----------
+    runs : mapping of str to Run
+        Runs of estimators of the comparison.
+    frozen : FrozenList or None
+        The observations that all were given; None if each chose for itself.
+    """
+    seeing = [run for run in runs.values() if not run.log.error and not run.blind]
+    found = []
+    for one, other in combinations(seeing, 2):
+        differs = (*_observations(one, other, frozen), *_assumptions(one, other))
+        found.append(SharedInformation((one.name, other.name), not differs, differs))
+    return found
+
+
+def unequal_line(found: list[SharedInformation]) -> str:
+    """One line that names the pairs whose information differed, and in what; empty if none's did."""
+    said = [f"{' and '.join(item.pair)} ({'; '.join(item.differs)})" for item in found if not item.equal]
+    return f"Information was not equal: {', '.join(said)}." if said else ""
+
+
+def _observations(one: Run, other: Run, frozen: FrozenList | None) -> Iterator[str]:
+    if frozen is None:
+        differing = int(np.count_nonzero(one.used != other.used))
+        if differing > LARGEST_SHARE * max(int(np.count_nonzero(one.used | other.used)), 1):
+            yield f"no common list, {differing} observations were fused by one of them only"
+        return
+    for run in (one, other):
+        if run.name in frozen.exempt:
+            yield f"{run.name} was given all observations"
+            continue
+        left = int(np.count_nonzero(frozen.kept & ~run.used))
+        share = left / max(int(np.count_nonzero(frozen.kept)), 1)
+        if share > LARGEST_SHARE:
+            yield f"{run.name} left out {100.0 * share:.1f} % of the common observations"
+
+
+def _assumptions(one: Run, other: Run) -> Iterator[str]:
+    silent = [run.name for run in (one, other) if not run.information]
+    if silent:
+        yield f"{' and '.join(silent)} does not say what it assumes"
+        return
+    for key in sorted(one.information.keys() | other.information.keys()):
+        said = [run.information.get(key, "not said") for run in (one, other)]
+        if said[0] != said[1]:
+            yield f"{key}: {said[0]} and {said[1]}"
