@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from vislam.comparison.open import Dataset
     from vislam.comparison.results import Results
     from vislam.core.estimator import Estimator
-    from vislam.core.run import Run
+    from vislam.core.run import Estimate, Run
     from vislam.core.sequence import Sequence
     from vislam.evaluation import Evaluation
     from vislam.inspection import Inspection
+    from vislam.report.table import Table
 
 
 class CallableModule(ModuleType):
@@ -65,8 +66,14 @@ class Outcome:
         """Runs by their names."""
         return self.results.runs
 
-    def metric(self, key: str, estimator: str) -> float:
+    def metric(self, key: str, estimator: str, *, estimate: "Estimate | None" = None) -> float:
         """Value of a metric, by its key in ``metrics.json``.
+
+        Parameters
+        ----------
+        key, estimator : str
+        estimate : "filtered" or "smoothed", optional
+            By default the final one: smoothed if the run has it, else filtered.
 
         Raises
         ------
@@ -75,17 +82,20 @@ class Outcome:
         """
         if estimator not in self.runs:
             raise ConfigError(f"no run {estimator!r}; there are {', '.join(self.runs)}")
-        value = self.evaluation.value(estimator, key)
+        value = self.evaluation.value(estimator, key, estimate)
         if value is None:
-            keys = sorted({item.key for item in self.evaluation.metrics if item.estimator == estimator})
-            raise ConfigError(f"{estimator} has no metric {key!r}; it has {', '.join(keys)}")
+            keys = ", ".join(self.evaluation.keys(estimator, estimate))
+            of = "" if estimate is None else f" of its {estimate} poses"
+            raise ConfigError(f"{estimator} has no metric {key!r}{of}; it has {keys}")
         return value
 
     def table(self, *, every: bool = False) -> str:
-        """Markdown table: the metrics that the terminal shows, or ``every`` one."""
-        table = self._table(every=every)
-        lines = [table.header, ["---", *("---:" for _ in table.header[1:])], *table.rows]
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        """Markdown tables, filtered and smoothed: the metrics that the terminal shows, or ``every`` one."""
+        told = []
+        for title, table in self._tables(every=every).items():
+            lines = [table.header, ["---", *("---:" for _ in table.header[1:])], *table.rows]
+            told += [f"**{title}**", "", *(f"| {' | '.join(line)} |" for line in lines), ""]
+        return "\n".join(told[:-1])
 
     def save(self, out: Path | str = "results", *, report: bool = False) -> Path:
         """Write the results folder that ``vislam compare`` writes below ``out``; with its page, or without.
@@ -108,24 +118,26 @@ class Outcome:
         """Write the same with its page, and return the page."""
         return self.save(out, report=True) / "report.html"
 
-    def _table(self, *, every: bool) -> Any:
-        from vislam.report.table import SHORT, comparison_table  # noqa: PLC0415
+    def _tables(self, *, every: bool) -> "dict[str, Table]":
+        from vislam.evaluation.metric import ESTIMATE_TITLES  # noqa: PLC0415
+        from vislam.report.table import SHORT, comparison_tables  # noqa: PLC0415
 
-        return comparison_table(self.runs, self.evaluation, keys=None if every else SHORT)
+        found = comparison_tables(self.runs, self.evaluation, keys=None if every else SHORT)
+        return {ESTIMATE_TITLES[estimate]: table for estimate, table in found.items()}
 
     def __repr__(self) -> str:
         return f"{self.results.title}\n{self.table()}"
 
     def _repr_html_(self) -> str:
-        """Table and top view, as a notebook shows them."""
+        """Tables and top view, as a notebook shows them."""
         from vislam.comparison.results import top_view_svg  # noqa: PLC0415
 
-        table = self._table(every=False)
-        rows = [table.header, *table.rows]
-        cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-        title = escape(self.results.title)
-        view = top_view_svg(self.results, self.evaluation)
-        return f"<table><caption>{title}</caption>{cells}</table>{view}"
+        drawn = ""
+        for title, table in self._tables(every=False).items():
+            rows = [table.header, *table.rows]
+            cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+            drawn += f"<table><caption>{escape(f'{self.results.title}, {title}')}</caption>{cells}</table>"
+        return drawn + top_view_svg(self.results, self.evaluation)
 
 
 def load_config(config: "Config | str | Path", **overrides: Any) -> "Config":

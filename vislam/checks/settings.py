@@ -9,6 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.errors import ConfigError
 from vislam.base.fields import STRICT
+from vislam.core.run import Estimate
 
 SAVED = "saved"
 """What ``times`` says for the saved results."""
@@ -25,6 +26,9 @@ class Check:
     """Key of a metric, as in ``metrics.json``."""
     test: str | None = None
     """Name of a statistic whose distribution is known if the run is consistent, such as ``nees_pose``."""
+    estimate: Estimate | None = None
+    """``filtered`` or ``smoothed``: of which poses; null: the final ones, smoothed if the run has them, else
+    filtered. Of two runs, and in ``times``, both are of the same."""
     at_most: Finite | None = None
     """Largest value of the metric, in its unit or in ``times``."""
     at_least: Finite | None = None

@@ -22,15 +22,16 @@ from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
 from vislam.evaluation.information import SharedInformation, shared_information, unequal_line
+from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.report.figures import all_figures
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
-from vislam.report.table import SHORT, comparison_table
+from vislam.report.table import SHORT, comparison_tables
 from vislam.report.top_view import top_view
 
 _log = logging.getLogger("vislam")
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 RECORD = "record.npz"
 PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.png")
 """A file of each folder that results are written to, and those that earlier results may have left."""
@@ -212,7 +213,8 @@ def metrics_document(
             name: {
                 "complete": run.complete,
                 "error": run.log.error,
-                "degenerate": list(evaluation.degenerate(name)),
+                "estimates": list(run.estimates),
+                "degenerate": {one: list(evaluation.degenerate(name, one)) for one in run.estimates},
                 "frames": len(run.stamp),
                 "counts": run.log.counts,
                 "listed_not_fused": not_fused.get(name),
@@ -233,8 +235,8 @@ def metrics_document(
 
 def announce(results: Results, published: Published, progress: Progress) -> None:
     """Print the closing table, where to read on, and what must not be overlooked."""
-    table = comparison_table(results.runs, published.evaluation, keys=SHORT)
-    progress.rows(table.header, table.rows, title=results.title)
+    for estimate, table in comparison_tables(results.runs, published.evaluation, keys=SHORT).items():
+        progress.rows(table.header, table.rows, title=f"{results.title}, {ESTIMATE_TITLES[estimate]}")
     progress.note(f"{published.path.stem}: {published.path}")
     if told := results.frozen_told():
         progress.note(told)
@@ -244,9 +246,10 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         if not run.complete:
             progress.note(f"{name} is incomplete: {run.log.error}")
             _log.info("%s: %s", name, run.log.traceback)
-    for name in results.runs:
-        for reason in published.evaluation.degenerate(name):
-            progress.note(f"{name} is degenerate and not ranked: {reason}")
+    for name, run in results.runs.items():
+        for estimate in run.estimates:
+            for reason in published.evaluation.degenerate(name, estimate):
+                progress.note(f"{name}, {estimate}, is degenerate and not ranked: {reason}")
     for verdict in published.verdicts:
         progress.note(verdict.line())
 

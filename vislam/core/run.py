@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -29,6 +29,10 @@ from vislam.core.schema import (
 from vislam.core.trajectory import Landmarks, Poses
 from vislam.geometry import se3, so3
 
+Estimate = Literal["filtered", "smoothed"]
+"""An estimate of the trajectory: each pose from the data up to its frame, or from all data."""
+ESTIMATES: tuple[Estimate, ...] = get_args(Estimate)
+"""Both, in the order in which they come about."""
 _TABLE: Table = {
     "name": Plain(str),
     "frames_expected": Plain(Count),
@@ -240,9 +244,22 @@ class Run:
         return not self.log.error
 
     @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """The estimates of the trajectory that it has, the final one last."""
+        return ESTIMATES[:1] if self.smoothed is None else ESTIMATES
+
+    @property
     def final(self) -> Poses:
-        """The poses as known in the end: smoothed if there are such, else filtered."""
+        """The poses of the final estimate: smoothed if there are such, else filtered."""
         return self.filtered if self.smoothed is None else self.smoothed
+
+    def poses(self, estimate: Estimate | None = None) -> Poses:
+        """Poses of an estimate, by default of the final one; ValueError if the run does not have it."""
+        if estimate == "filtered":
+            return self.filtered
+        if estimate == "smoothed" and self.smoothed is None:
+            raise ValueError(f"{self.name}: expected a run with smoothed poses")
+        return self.final
 
     @property
     def landmarks(self) -> Landmarks:

@@ -13,14 +13,13 @@ distance beyond its chi-square bound says that at least one run claims too much.
 the truth: both may err alike.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, IntArray
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
 from vislam.evaluation.normalised import COMPONENTS, usable, whiten
 from vislam.geometry import se3
 
@@ -55,6 +54,8 @@ class Agreement:
 
     Attributes
     ----------
+    estimates : two of "filtered" and "smoothed"
+        Estimate of each run that was compared.
     frame : (n,)
         Frames of which both give a covariance.
     difference : (n, 6)
@@ -68,6 +69,7 @@ class Agreement:
         Component, index in ``COMPONENTS``, closest to each of these directions.
     """
 
+    estimates: tuple[Estimate, Estimate]
     frame: IntArray
     difference: Array
     squared: Array
@@ -108,7 +110,14 @@ class Agreement:
         return Certainty(float(overall), float(smallest), float(largest), along[0], along[1])
 
 
-def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) -> Agreement | None:
+def shared_estimates(one: Run, other: Run) -> tuple[Estimate, ...]:
+    """Estimates of the trajectory that both runs have: only these are compared as equals."""
+    return tuple(estimate for estimate in one.estimates if estimate in other.estimates)
+
+
+def agreement(
+    one: Run, other: Run, *, estimates: tuple[Estimate, Estimate] | None = None
+) -> Agreement | None:
     """Compare two runs pose by pose; None if there is no frame of which both give a covariance.
 
     The first frame is left out: its difference is zero by construction. So are frames in which the runs are
@@ -118,11 +127,14 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
     ----------
     one, other : Run
         Compared on the frames that both have.
-    causal : two bool
-        Whether to take the poses of each as they were known at their own time.
+    estimates : two of "filtered" and "smoothed", optional
+        Estimate of each; by default the same of both, the last that they share.
     """
+    if estimates is None:
+        shared = shared_estimates(one, other)[-1]
+        estimates = (shared, shared)
     frame, own, others = np.intersect1d(one.frame, other.frame, return_indices=True)
-    chosen = [run.filtered if early else run.final for run, early in zip((one, other), causal, strict=True)]
+    chosen = [run.poses(estimate) for run, estimate in zip((one, other), estimates, strict=True)]
     first, first_cov = chosen[0].world_T_imu[own], chosen[0].covariances[own]
     second, second_cov = chosen[1].world_T_imu[others], chosen[1].covariances[others]
     if len(frame) < 2:
@@ -140,6 +152,7 @@ def agreement(one: Run, other: Run, *, causal: Sequence[bool] = (False, False)) 
     total = first_cov[known] + here
     ratios, along = compared(first_cov[known], here)
     return Agreement(
+        estimates,
         frame[known],
         difference,
         np.sum(whiten(difference, total) ** 2, axis=1),

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vislam.core.reference import Reference
-from vislam.core.run import Run
+from vislam.core.run import ESTIMATES, Run
 from vislam.evaluation.evaluate import Evaluation, headline
 
 
 @dataclass(frozen=True)
 class Rung:
-    """One run on the ladder, against the one below it.
+    """One run on the ladder, against the one below it, the same estimate of both.
 
     All are differences on one recording. They have a sign: a rung may make it worse.
 
@@ -21,21 +21,22 @@ class Rung:
         What it adds to the rung below.
     key : str
         The metric that is the error.
-    error, causal : float or None
-        Of the poses as known in the end, and as known at their own time [m]; None for an incomplete run.
-    change : float or None
-        ``error`` less that of the rung below [m], negative where this is better; None if either is missing.
-    causal_less_final : float or None
-        ``causal`` less ``error`` [m]: what knowing the rest of the drive did within this run.
+    filtered, smoothed : float or None
+        Error of the filtered and of the smoothed poses [m]; None for an incomplete run, or where it has none.
+    filtered_change, smoothed_change : float or None
+        The same less that of the rung below [m], negative where this is better; None if either is missing.
+    smoothing : float or None
+        ``smoothed`` less ``filtered`` [m]: what the data after each frame did within this run.
     """
 
     run: str
     adds: str
     key: str
-    error: float | None
-    causal: float | None
-    change: float | None
-    causal_less_final: float | None
+    filtered: float | None
+    smoothed: float | None
+    filtered_change: float | None
+    smoothed_change: float | None
+    smoothing: float | None
 
 
 def attribute(
@@ -60,10 +61,12 @@ def attribute(
     for name, adds in ladder.items():
         # An incomplete run is scored on the frames it finished, which are not those of its neighbours.
         complete = runs[name].complete
-        error = evaluation.value(name, key) if complete else None
-        causal = evaluation.value(name, f"{key}_causal") if complete else None
-        below = rungs[-1].error if rungs else None
-        rungs.append(Rung(name, adds, key, error, causal, _less(error, below), _less(causal, error)))
+        filtered, smoothed = (
+            evaluation.value(name, key, estimate) if complete else None for estimate in ESTIMATES
+        )
+        below = (rungs[-1].filtered, rungs[-1].smoothed) if rungs else (None, None)
+        changes = _less(filtered, below[0]), _less(smoothed, below[1])
+        rungs.append(Rung(name, adds, key, filtered, smoothed, *changes, _less(smoothed, filtered)))
     return rungs
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from vislam.base.types import Array, IntArray
 from vislam.core.record import Record
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
+from vislam.core.trajectory import Poses
 from vislam.geometry import se3, so3
 
 _LEAST_SHARE = 0.05
@@ -24,11 +25,20 @@ _LARGEST_PER_FREEDOM = 1000.0
 """Normalised squared residuals per degree of freedom: beyond, they are 30 times their stated noise."""
 
 
-def degeneracies(run: Run, record: Record) -> tuple[str, ...]:
-    """Reasons why a run is degenerate, one line each; none for a sound run, nor for one from elsewhere."""
+def degeneracies(run: Run, record: Record, estimate: Estimate | None = None) -> tuple[str, ...]:
+    """Reasons why an estimate, by default the final one, is degenerate, one line each.
+
+    None for a sound one, nor for that of a run from elsewhere.
+    """
     if run.blind or not len(run.stamp):
         return ()
-    return (*_fused(run, record), *_jumps(run, record), *_residuals(run))
+    final = estimate in (None, run.estimates[-1])
+    return (
+        *_fused(run, record),
+        *_jumps(run, run.poses(estimate), record),
+        *(_fit(run) if final else ()),
+        *_innovations(run),
+    )
 
 
 def _fused(run: Run, record: Record) -> tuple[str, ...]:
@@ -44,18 +54,18 @@ def _fused(run: Run, record: Record) -> tuple[str, ...]:
     return ()
 
 
-def _jumps(run: Run, record: Record) -> tuple[str, ...]:
-    """Steps of the final estimate that neither the inertial data nor the run's own covariance allow."""
+def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
+    """Steps of an estimate that neither the inertial data nor the run's own covariance allow."""
     consecutive = np.flatnonzero(np.diff(run.frame) == 1)
     if record.step_twist is None or not len(consecutive):
         return ()
-    step = se3.inverse(run.final.world_T_imu[consecutive]) @ run.final.world_T_imu[consecutive + 1]
+    step = se3.inverse(poses.world_T_imu[consecutive]) @ poses.world_T_imu[consecutive + 1]
     moved = np.linalg.norm(step[:, :3, 3], axis=1)
     turned = np.linalg.norm(so3.log(step[:, :3, :3]), axis=1)
     dt = np.diff(record.stamp, prepend=record.stamp[0])
     turn, way = (np.linalg.norm(part, axis=1) * dt for part in np.split(record.step_twist, 2, axis=1))
     frame = run.frame[consecutive + 1]
-    variance = np.nan_to_num(np.diagonal(run.final.covariances[consecutive], axis1=1, axis2=2))
+    variance = np.nan_to_num(np.diagonal(poses.covariances[consecutive], axis1=1, axis2=2))
     sure_turn, sure_way = (_SURE * np.sqrt(part.sum(axis=1)) for part in np.split(variance, 2, axis=1))
     farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
     widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn
@@ -80,13 +90,15 @@ def _beyond(
     )
 
 
-def _residuals(run: Run) -> tuple[str, ...]:
-    """Residuals that have nothing to do with their stated noise."""
-    found = []
-    if run.fit is not None and run.fit[1] > 0 and run.fit[0] > _LARGEST_PER_FREEDOM * run.fit[1]:
-        found.append(
-            f"does not fit its measurements: fit per degree of freedom {run.fit[0] / run.fit[1]:.2g}"
-        )
-    if run.nis_per_dof > _LARGEST_PER_FREEDOM:
-        found.append(f"does not predict its measurements: NIS per degree of freedom {run.nis_per_dof:.2g}")
-    return tuple(found)
+def _fit(run: Run) -> tuple[str, ...]:
+    """Residuals of the final estimate that have nothing to do with their stated noise."""
+    if run.fit is None or run.fit[1] <= 0 or run.fit[0] <= _LARGEST_PER_FREEDOM * run.fit[1]:
+        return ()
+    return (f"does not fit its measurements: fit per degree of freedom {run.fit[0] / run.fit[1]:.2g}",)
+
+
+def _innovations(run: Run) -> tuple[str, ...]:
+    """Innovations that have nothing to do with their stated noise."""
+    if run.nis_per_dof <= _LARGEST_PER_FREEDOM:
+        return ()
+    return (f"does not predict its measurements: NIS per degree of freedom {run.nis_per_dof:.2g}",)

@@ -1,15 +1,17 @@
 """Runs scored, one by one and in pairs: the scores, the metrics and the statistics, with look-up."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
 from vislam.core.record import Record
 from vislam.core.reference import Reference
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
 from vislam.evaluation import metrics
+from vislam.evaluation.lookup import Entry, Lookup
 from vislam.evaluation.maps import Bin
 from vislam.evaluation.metrics import Metric
 from vislam.evaluation.scores import PairScores, RunScores, score_pair, score_run
@@ -26,8 +28,8 @@ class Evaluation:
     Attributes
     ----------
     metrics : sequence of Metric
-    statistics : dict of (str, str) to Statistic
-        By run and name.
+    statistics : dict of Entry to Statistic
+        By run, name and estimate.
     scores : dict of str to RunScores
         By run.
     pairs : dict of (str, str) to PairScores
@@ -35,21 +37,44 @@ class Evaluation:
     """
 
     metrics: Sequence[Metric]
-    statistics: Mapping[tuple[str, str], Statistic] = field(default_factory=dict)
+    statistics: Mapping[Entry, Statistic] = field(default_factory=dict)
     scores: Mapping[str, RunScores] = field(default_factory=dict)
     pairs: Mapping[tuple[str, str], PairScores] = field(default_factory=dict)
 
-    def value(self, estimator: str, key: str) -> float | None:
-        """Value of a metric, or None where it does not exist."""
-        return next((m.value for m in self.metrics if (m.estimator, m.key) == (estimator, key)), None)
+    @cached_property
+    def _metrics(self) -> Lookup[Metric]:
+        return Lookup({(m.estimator, m.key, m.estimate): m for m in self.metrics})
 
-    def statistic(self, estimator: str, name: str) -> Statistic | None:
-        """Look a statistic up; None where it does not exist."""
-        return self.statistics.get((estimator, name))
+    def metric(self, estimator: str, key: str, estimate: Estimate | None = None) -> Metric | None:
+        """Look a metric up, by default that of the final estimate; None where it does not exist."""
+        return self._metrics.find(estimator, key, estimate)
 
-    def degenerate(self, name: str) -> tuple[str, ...]:
-        """Why a run is no answer to the data; empty for a sound one."""
-        return self.scores[name].degenerate if name in self.scores else ()
+    def value(self, estimator: str, key: str, estimate: Estimate | None = None) -> float | None:
+        """Value of a metric, by default that of the final estimate, or None where it does not exist."""
+        found = self.metric(estimator, key, estimate)
+        return None if found is None else found.value
+
+    def statistic(self, estimator: str, name: str, estimate: Estimate | None = None) -> Statistic | None:
+        """Look a statistic up, by default that of the final estimate; None where it does not exist."""
+        chosen = self._metrics.final(estimator) if estimate is None else estimate
+        return Lookup(self.statistics).find(estimator, name, chosen)
+
+    def keys(self, estimator: str, estimate: Estimate | None = None) -> list[str]:
+        """Keys of the metrics that a run, or two, has of an estimate, by default of the final one."""
+        found = {metric.key for metric in self.metrics if metric.estimator == estimator}
+        return sorted(key for key in found if self.metric(estimator, key, estimate) is not None)
+
+    def estimates(self, name: str) -> tuple[Estimate, ...]:
+        """Estimates of a run that are scored, the final one last; none of a run that is too short."""
+        return tuple(self.scores[name].estimates) if name in self.scores else ()
+
+    def degenerate(self, name: str, estimate: Estimate | None = None) -> tuple[str, ...]:
+        """Why an estimate of a run, by default the final one, is no answer to the data; empty if sound."""
+        if name not in self.scores:
+            return ()
+        scores = self.scores[name]
+        found = scores.final if estimate is None else scores.estimates.get(estimate)
+        return () if found is None else found.degenerate
 
     def records(self) -> list[dict[str, object]]:
         """Metrics as plain data for JSON."""
@@ -58,18 +83,22 @@ class Evaluation:
     def statistic_records(self) -> list[dict[str, object]]:
         """Statistics as plain data for JSON, with their 95 % intervals."""
         found = []
-        for (estimator, name), statistic in self.statistics.items():
+        for (estimator, name, estimate), statistic in self.statistics.items():
             low, high = statistic.interval(0.95)
             interval = {"low_95": low, "high_95": high, "p_value": statistic.p_value()}
-            found.append({"estimator": estimator, **asdict(statistic), "name": name, **interval})
+            whose = {"estimator": estimator, "estimate": estimate}
+            found.append({**whose, **asdict(statistic), "name": name, **interval})
         return found
 
-    def worst_segments(self) -> dict[str, list[dict[str, object]]]:
-        """Where each run errs most, as plain data for JSON."""
+    def worst_segments(self) -> dict[str, dict[str, list[dict[str, object]]]]:
+        """Where each estimate of each run errs most, as plain data for JSON."""
         return {
-            name: [asdict(segment) for segment in one.final.worst]
+            name: {
+                estimate: [asdict(segment) for segment in found.trajectory.worst]
+                for estimate, found in one.estimates.items()
+                if found.trajectory is not None
+            }
             for name, one in self.scores.items()
-            if one.final is not None
         }
 
     def map_agreement(self) -> dict[str, dict[str, list[dict[str, object]]]]:
@@ -82,6 +111,12 @@ class Evaluation:
             for pair, one in self.pairs.items()
             if one.map is not None
         }
+
+
+def _statistics(name: str, scores: RunScores) -> Iterator[tuple[Entry, Statistic]]:
+    for estimate, found in scores.estimates.items():
+        yield from (((name, key, estimate), statistic) for key, statistic in found.statistics.items())
+    yield from (((name, key, None), statistic) for key, statistic in scores.statistics.items())
 
 
 def _plain(row: Bin) -> dict[str, object]:
@@ -113,9 +148,9 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
     return Evaluation(
         metrics=[metric for metric in found if np.isfinite(metric.value)],
         statistics={
-            (name, key): statistic
+            entry: statistic
             for name, one in scores.items()
-            for key, statistic in one.statistics.items()
+            for entry, statistic in _statistics(name, one)
             if np.isfinite(statistic.value)
         },
         scores=scores,

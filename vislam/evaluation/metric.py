@@ -6,6 +6,8 @@ Whoever shows or judges metrics takes them from here; :mod:`vislam.evaluation.me
 from dataclasses import dataclass
 from typing import Literal
 
+from vislam.core.run import Estimate
+
 Better = Literal["less", "one", ""]
 """Which value is better: less; near 1, as of a consistent estimator; or it is no matter of better."""
 
@@ -51,6 +53,11 @@ class MetricSpec:
         return self.short or self.title
 
 
+def of_statistic(name: str) -> MetricSpec:
+    """What is known of a statistic, whose value is a metric of its name or of that per degree of freedom."""
+    return METRICS[name] if name in METRICS else METRICS[f"{name}_per_dof"]
+
+
 def with_unit(title: str, unit: str) -> str:
     """A title with its unit, if it has one."""
     return f"{title} [{unit}]" if unit else title
@@ -58,9 +65,7 @@ def with_unit(title: str, unit: str) -> str:
 
 _ALL = (
     MetricSpec("ate_rmse", "ATE, SE(3) aligned", "m", 2, "less", "ATE"),
-    MetricSpec("ate_rmse_causal", "ATE, SE(3) aligned, as known at each time", "m", 2, "less"),
     MetricSpec("ate_planar_rmse", "ATE, planar aligned", "m", 2, "less", "planar ATE"),
-    MetricSpec("ate_planar_rmse_causal", "ATE, planar aligned, as known at each time", "m", 2, "less"),
     MetricSpec("ate_rotation_rmse", "attitude error, aligned", "deg", 2, "less", "attitude error"),
     MetricSpec(
         "held_out_median", "held-out tracks, median error", "px", 2, "less", "error of held-out tracks"
@@ -71,10 +76,25 @@ _ALL = (
     MetricSpec("kitti_r_rel", "KITTI turn drift", "deg/100m", 3, "less"),
     MetricSpec("map_error_median", "landmark error, median", "m", 2, "less", "landmark error"),
     MetricSpec("drift_end", "drift at the end", "%", 2, "less"),
-    MetricSpec("nees_pose", "NEES of the pose per degree of freedom", "", 2, "one"),
-    MetricSpec("nees_position_planar", "NEES of the position per degree of freedom", "", 2, "one"),
-    MetricSpec("nis_per_dof", "NIS per degree of freedom", "", 2, "one"),
-    MetricSpec("fit_per_dof", "fit per degree of freedom", "", 2, "one"),
+    MetricSpec("nees_pose", "NEES of the pose per degree of freedom", "", 2, "one", "NEES of the pose"),
+    MetricSpec(
+        "nees_position_planar",
+        "NEES of the planar position per degree of freedom",
+        "",
+        2,
+        "one",
+        "NEES of the planar position",
+    ),
+    MetricSpec(
+        "nees_position_aligned",
+        "NEES of the position per degree of freedom",
+        "",
+        2,
+        "one",
+        "NEES of the position",
+    ),
+    MetricSpec("nis_per_dof", "NIS per degree of freedom", "", 2, "one", "NIS"),
+    MetricSpec("fit_per_dof", "fit per degree of freedom", "", 2, "one", "fit"),
     MetricSpec("yaw_information_gained", "yaw information gained", "1/rad²", 1),
     MetricSpec("landmarks", "landmarks", "", 0),
     MetricSpec("observations_used", "observations used", "", 0),
@@ -86,6 +106,11 @@ _ALL = (
 )
 METRICS = {spec.key: spec for spec in _ALL}
 """Metrics that are shown by a name of their own, in the order of the tables."""
+ESTIMATE_TITLES: dict[Estimate, str] = {
+    "filtered": "filtered (as known at each frame)",
+    "smoothed": "smoothed (as known in the end)",
+}
+"""Titles of the blocks that metrics are shown in."""
 _FAMILIES_OF_ERRORS = ("ate_", "rpe_", "displacement_", "kitti_", "drift_", "map_error_", "held_out_")
 """How the keys of all errors start, those of a length or a share of them included."""
 

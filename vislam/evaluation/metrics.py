@@ -6,16 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
-from vislam.evaluation.normalised import MULTIPLES
-from vislam.evaluation.scores import PairScores, RunScores
+from vislam.evaluation.maps import MapDifference
+from vislam.evaluation.normalised import MULTIPLES, Normalised
+from vislam.evaluation.scores import EstimatePair, EstimateScores, PairScores, RunScores
+from vislam.evaluation.statistics import Statistic
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
 from vislam.geometry import se3
 
 _SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
 _YAW = 2
+_FEWEST = 3
+"""Common frames without which two trajectories are not compared."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class Metric:
         The reference it was measured against; empty if none was needed.
     convention : str
         Alignment, gauge and form of the error, where there is a choice.
+    estimate : "filtered", "smoothed" or None
+        Estimate of the trajectory that it is of; None: it is of the run as a whole.
     """
 
     estimator: str
@@ -40,27 +46,38 @@ class Metric:
     unit: str
     against: str = ""
     convention: str = ""
+    estimate: Estimate | None = None
 
 
 def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
     """Metrics of one run; ``reference`` is the name of what it was scored against."""
     name = scores.run.name
-    for suffix, found in (("", scores.final), ("_causal", scores.causal)):
-        if found is not None:
-            for key, value, unit, convention in _headline(found):
-                yield Metric(name, f"{key}{suffix}", value, unit, reference, convention)
-    if scores.final is not None:
-        for key, value, unit, convention in _trajectory(scores.final):
+    for estimate, found in scores.estimates.items():
+        for key, value, unit, convention in _against(found):
+            yield Metric(name, key, value, unit, reference, convention, estimate)
+        for key, value, unit in (*_of_itself(scores.run, estimate), *_held_out(found)):
+            yield Metric(name, key, value, unit, estimate=estimate)
+        if found.fit is not None:
+            yield Metric(name, "fit_per_dof", found.fit.value, "1", estimate=estimate)
+    if scores.bias is not None:
+        for key, value, unit, convention in _claim(scores.bias, scores.statistics[scores.bias.name]):
             yield Metric(name, key, value, unit, reference, convention)
-    for key, value, unit, convention in (*_map(scores), *_claims(scores)):
-        yield Metric(name, key, value, unit, reference, convention)
-    for part in (_of_itself(scores.run), _innovations(scores), _fit(scores), _held_out(scores)):
-        for key, value, unit in part:
-            yield Metric(name, key, value, unit)
+    for key, value, unit in (*_cost(scores.run), *_innovations(scores)):
+        yield Metric(name, key, value, unit)
+
+
+def _against(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:
+    """Metrics of an estimate against the reference."""
+    if scores.trajectory is not None:
+        yield from _headline(scores.trajectory)
+        yield from _trajectory(scores.trajectory)
+    yield from _map(scores)
+    for name, claim in scores.claims.items():
+        yield from _claim(claim, scores.statistics[name])
 
 
 def _headline(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:
-    """Errors of which it matters whether they are known at their own time or in the end."""
+    """Errors that speak for a whole trajectory."""
     yield "ate_planar_rmse", scores.absolute["planar"].position.rmse, "m", "alignment planar"
     if not scores.matched.planar:
         yield "ate_rmse", scores.absolute["se3"].position.rmse, "m", "alignment se3"
@@ -114,7 +131,7 @@ def _relative(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]
         yield f"{kind}_worst_{WORST_LENGTH:g}m", scores.worst[0].error, "m", told
 
 
-def _map(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
+def _map(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:
     for key, found, told in (
         ("map_error", scores.map, "alignment first_pose"),
         ("map_error_aligned", scores.map_aligned, "alignment se3"),
@@ -128,26 +145,32 @@ def _map(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
         yield "map_found", scores.map.found, "1", f"{told}, within 0.5 m or 5 % of the depth"
 
 
-def _claims(scores: RunScores) -> Iterator[tuple[str, float, str, str]]:
-    """Averages of normalised errors, and shares of errors within multiples of what was claimed."""
-    for name, claim in scores.claims.items():
-        yield name, scores.statistics[name].value, "1", claim.convention
-        shares = claim.within().mean(axis=1)
-        for multiple, share in zip(MULTIPLES, shares, strict=True):
-            key = f"coverage_{name.removeprefix('nees_')}_{multiple:g}sigma"
-            yield key, float(share), "1", "mean over the components"
+def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float, str, str]]:
+    """Average of normalised errors, and shares of errors within multiples of what was claimed."""
+    yield claim.name, statistic.value, "1", claim.convention
+    shares = claim.within().mean(axis=1)
+    for multiple, share in zip(MULTIPLES, shares, strict=True):
+        key = f"coverage_{claim.name.removeprefix('nees_')}_{multiple:g}sigma"
+        yield key, float(share), "1", "mean over the components"
 
 
-def _of_itself(run: Run) -> Iterator[tuple[str, float, str]]:
-    yield "path_length", trajectory.path_length(run.final.world_T_imu), "m"
-    yield "height_end", float(run.final.world_T_imu[-1, 2, 3]), "m"
+def _of_itself(run: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:
+    poses = run.poses(estimate).world_T_imu
+    yield "path_length", trajectory.path_length(poses), "m"
+    yield "height_end", float(poses[-1, 2, 3]), "m"
+    if len(run.cost.step_time):
+        # Before the end no time has gone into the final estimate.
+        steps_only = estimate != run.estimates[-1]
+        yield "total_time_s", float(run.cost.step_time.sum()) if steps_only else run.cost.total_time, "s"
+
+
+def _cost(run: Run) -> Iterator[tuple[str, float, str]]:
     yield "frames", float(len(run.stamp)), "1"
     if not len(run.cost.step_time):
         # From elsewhere: nobody knows how it was made.
         return
     for key, percentile in _SPEED_KEYS.items():
         yield key, float(1e3 * np.percentile(run.cost.step_time, percentile)), "ms"
-    yield "total_time_s", run.cost.total_time, "s"
     yield "peak_rss_mb", run.cost.peak_rss / 1e6, "MB"
     yield "landmarks", float(len(run.landmarks)), "1"
     yield "observations_used", float(run.used.sum()), "1"
@@ -166,45 +189,65 @@ def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:
         yield "position_information_gained", float(gained[:, 3:].sum(axis=0).mean()), "1/m^2"
 
 
-def _held_out(scores: RunScores) -> Iterator[tuple[str, float, str]]:
+def _held_out(scores: EstimateScores) -> Iterator[tuple[str, float, str]]:
     if scores.held_out is not None and len(scores.held_out.track):
         yield "held_out_median", scores.held_out.median, "px"
         yield "held_out_rms", scores.held_out.capped_rms, "px"
         yield "tracks_held_out_capped", float(scores.held_out.capped), "1"
 
 
-def _fit(scores: RunScores) -> Iterator[tuple[str, float, str]]:
-    if "fit" in scores.statistics:
-        yield "fit_per_dof", scores.statistics["fit"].value, "1"
-
-
 def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Metric]:
     """Metrics of two runs against each other."""
     pair = f"{one.run.name}|{other.run.name}"
-    for key, value, unit in _apart(one.run, other.run):
-        yield Metric(pair, key, value, unit)
-    for key, value, convention in _agreement(scores):
-        yield Metric(pair, key, value, "1", convention=convention)
+    for estimate, found in scores.estimates.items():
+        for key, value, unit in _apart(one.run, other.run, estimate):
+            yield Metric(pair, key, value, unit, estimate=estimate)
+        for key, value, convention in _agreement(found):
+            yield Metric(pair, key, value, "1", convention=convention, estimate=estimate)
+    ends = one.run.estimates[-1], other.run.estimates[-1]
+    told = f"landmarks of the {ends[0]} estimate of the first and of the {ends[1]} one of the second"
+    both = ends[0] if ends[0] == ends[1] else None
+    for key, value, unit, convention in _maps_apart(one.run, other.run, scores.map):
+        yield Metric(pair, key, value, unit, convention=f"{told}; {convention}", estimate=both)
 
 
-def _apart(one: Run, other: Run) -> Iterator[tuple[str, float, str]]:
-    """How far two runs are apart: poses aligned by nothing but their common start, and maps."""
-    frames, first, second = np.intersect1d(one.frame, other.frame, return_indices=True)
-    if len(frames) < 3:
+def _apart(one: Run, other: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:
+    """How far the poses of two runs are apart: by nothing but their common start, and aligned."""
+    positions, others = _positions(one, other, (estimate, estimate))
+    if len(positions) < _FEWEST:
         return
-    positions, others = one.final.world_T_imu[first, :3, 3], other.final.world_T_imu[second, :3, 3]
     yield "trajectory_distance_rmse", _rms(positions - others), "m"
     rotation, translation = align(others, positions)
     yield "trajectory_distance_aligned_rmse", _rms(positions - (others @ rotation.T + translation)), "m"
+
+
+def _positions(one: Run, other: Run, estimates: tuple[Estimate, Estimate]) -> tuple[Array, Array]:
+    """Positions ``(n, 3)`` [m] of an estimate of each of two runs, of the frames that both have."""
+    _, first, second = np.intersect1d(one.frame, other.frame, return_indices=True)
+    poses = one.poses(estimates[0]).world_T_imu, other.poses(estimates[1]).world_T_imu
+    return poses[0][first, :3, 3], poses[1][second, :3, 3]
+
+
+def _maps_apart(
+    one: Run, other: Run, difference: MapDifference | None
+) -> Iterator[tuple[str, float, str, str]]:
+    """How far two maps are apart."""
+    positions, others = _positions(one, other, (one.estimates[-1], other.estimates[-1]))
     common, first, second = np.intersect1d(one.landmarks.track, other.landmarks.track, return_indices=True)
-    if len(common):
+    if len(positions) >= _FEWEST and len(common):
+        rotation, translation = align(others, positions)
         pose = se3.from_rotation_translation(rotation, translation)
         gap = one.landmarks.points_world[first] - se3.transform(pose, other.landmarks.points_world[second])
-        yield "landmarks_common", float(len(common)), "1"
-        yield "map_distance_median", float(np.median(np.linalg.norm(gap, axis=1))), "m"
+        yield "landmarks_common", float(len(common)), "1", "by their tracks"
+        distance = float(np.median(np.linalg.norm(gap, axis=1)))
+        yield "map_distance_median", distance, "m", "worlds aligned by the poses"
+    if difference is not None and np.isfinite(difference.squared).any():
+        known = difference.squared[np.isfinite(difference.squared)]
+        by = "worlds joined at the first pose"
+        yield "landmark_distance_per_freedom", float(known.mean()) / 3.0, "1", by
 
 
-def _agreement(scores: PairScores) -> Iterator[tuple[str, float, str]]:
+def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
     """How far apart in what they claim themselves, and which predicts the held-out tracks better."""
     if scores.agreement is not None:
         found, by = scores.agreement, "worlds joined at the first pose, by the sum of the two covariances"
@@ -217,9 +260,6 @@ def _agreement(scores: PairScores) -> Iterator[tuple[str, float, str]]:
         yield "variance_ratio", certainty.overall, f"{told}; geometric mean of all directions"
         yield "variance_ratio_smallest", certainty.smallest, f"{told}; mostly in {certainty.smallest_along}"
         yield "variance_ratio_largest", certainty.largest, f"{told}; mostly in {certainty.largest_along}"
-    if scores.map is not None and np.isfinite(scores.map.squared).any():
-        known = scores.map.squared[np.isfinite(scores.map.squared)]
-        yield "landmark_distance_per_freedom", float(known.mean()) / 3.0, "worlds joined at the first pose"
     if scores.held_out is not None:
         told = "share of the held-out tracks that the first predicts better"
         yield "held_out_better", scores.held_out.better, told

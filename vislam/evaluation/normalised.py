@@ -13,8 +13,9 @@ from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.reference import Reference
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
 from vislam.core.step import TWIST_BIAS
+from vislam.core.trajectory import Poses
 from vislam.evaluation import statistics
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.weighted_alignment import align_weighted
@@ -83,7 +84,9 @@ class Normalised:
         return np.array([np.mean(apart <= multiple * self.sigma, axis=0) for multiple in multiples])
 
 
-def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict[str, Normalised] | None:
+def pose_errors(
+    run: Run, reference: Reference, *, estimate: Estimate | None = None
+) -> dict[str, Normalised] | None:
     """Errors of pose, rotation and position, by part; None where either lacks what it takes.
 
     Parameters
@@ -93,17 +96,17 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
         With full poses, of any point. Its world is moved so that its first pose is the run's at that frame:
         the errors are those of the motion since then. The covariances are as claimed, with what the run
         was uncertain of at that frame.
-    causal : bool
-        Whether to take the poses as they were known at their own time.
+    estimate : "filtered" or "smoothed", optional
+        Whose poses and covariances; the final one by default.
     """
     frame, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
     if reference.pose is None or len(frame) < 2:
         return None
-    estimate, cov = _at_point(run, own, reference.imu_T_point, causal=causal)
+    pose, cov = _at_point(run.poses(estimate), own, reference.imu_T_point)
     target = reference.pose[other]
-    error = se3.local(estimate, estimate[0] @ se3.inverse(target[0]) @ target)
-    level = np.zeros((len(estimate), 6, 6))
-    level[:, :3, :3] = level[:, 3:, 3:] = estimate[:, :3, :3]
+    error = se3.local(pose, pose[0] @ se3.inverse(target[0]) @ target)
+    level = np.zeros((len(pose), 6, 6))
+    level[:, :3, :3] = level[:, 3:, 3:] = pose[:, :3, :3]
     staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
     # What is hardly positive definite may be so no longer in other axes.
     known = usable(cov) & usable(staying_cov)
@@ -114,11 +117,11 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
     error, cov, staying, staying_cov = (part[known] for part in (error, cov, staying, staying_cov))
     convention = (
         f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
-        f"worlds joined at frame {frame[0]}; covariance as claimed {_time(causal)}, right perturbation"
+        f"worlds joined at frame {frame[0]}; estimated covariance, right perturbation"
     )
     return {
         part: Normalised(
-            f"nees_{part}" + ("_causal" if causal else ""),
+            f"nees_{part}",
             frame[known],
             error[:, columns],
             _sigma(cov)[:, columns],
@@ -130,7 +133,12 @@ def pose_errors(run: Run, reference: Reference, *, causal: bool = False) -> dict
 
 
 def position_errors(
-    run: Run, reference: Reference, *, planar: bool, reference_sigma: float, causal: bool = False
+    run: Run,
+    reference: Reference,
+    *,
+    planar: bool,
+    reference_sigma: float,
+    estimate: Estimate | None = None,
 ) -> Normalised | None:
     """Errors of the position where the reference has no attitude; None where the run gives no covariance.
 
@@ -149,29 +157,29 @@ def position_errors(
     reference_sigma : float
         Standard deviation of the reference's own positions [m]; 0 for a truth. The first poses of a run are
         more certain than any survey.
-    causal : bool
-        Whether to take the poses as they were known at their own time.
+    estimate : "filtered" or "smoothed", optional
+        Whose poses and covariances; the final one by default.
     """
     size = 2 if planar else 3
     frame, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
-    estimate, cov = _at_point(run, own, reference.imu_T_point, causal=causal)
-    turn = estimate[:, :3, :3]
+    pose, cov = _at_point(run.poses(estimate), own, reference.imu_T_point)
+    turn = pose[:, :3, :3]
     cov_world = (turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1))[:, :size, :size]
     cov_world = cov_world + reference_sigma**2 * np.eye(size)
     known = usable(cov_world)
     if known.sum() < 3:
         return None
-    cov_world, place = cov_world[known], estimate[known, :size, 3]
+    cov_world, place = cov_world[known], pose[known, :size, 3]
     error = align_weighted(reference.position[other][known, :size], place, cov_world) - place
     return Normalised(
-        "nees_position_" + ("planar" if planar else "aligned") + ("_causal" if causal else ""),
+        "nees_position_" + ("planar" if planar else "aligned"),
         frame[known],
         error,
         _sigma(cov_world),
         whiten(error, cov_world),
         f"error = {reference.name} - position, axes of the run's world; worlds joined by the rigid motion of "
-        "least NEES, which takes part of the error out, so that only values above 1 accuse; covariance as "
-        f"claimed {_time(causal)}, and {reference_sigma:g} m of the reference's own",
+        "least NEES, which takes part of the error out, so that only values above 1 accuse; estimated "
+        f"covariance, and {reference_sigma:g} m of the reference's own",
         fitted=True,
     )
 
@@ -243,15 +251,10 @@ def whiten(error: Array, cov: Array) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(cov), error[:, :, None])[:, :, 0])
 
 
-def _at_point(run: Run, row: IntArray, imu_T_point: Array, *, causal: bool) -> tuple[Array, Array]:
+def _at_point(poses: Poses, row: IntArray, imu_T_point: Array) -> tuple[Array, Array]:
     """Poses of a point of the body, and their covariances on the right."""
-    poses = run.filtered if causal else run.final
     move = se3.adjoint(se3.inverse(imu_T_point))
     return poses.world_T_imu[row] @ imu_T_point, move @ poses.covariances[row] @ move.T
-
-
-def _time(causal: bool) -> str:
-    return "at the frame's own time" if causal else "in the end"
 
 
 def _sigma(cov: Array) -> Array:

@@ -8,9 +8,11 @@ import numpy as np
 
 from vislam.base.types import Array, IntArray
 from vislam.core.record import Record, Tracks
-from vislam.core.run import Run
+from vislam.core.reference import Reference
+from vislam.core.run import Estimate, Run
+from vislam.core.trajectory import Poses
 from vislam.evaluation import maps, normalised
-from vislam.evaluation.agreement import Agreement, agreement
+from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
 from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
@@ -26,36 +28,34 @@ VIEWS = np.array([1.0, 3.0, 6.0, 12.0, 24.0, np.inf])
 
 
 @dataclass(frozen=True)
-class RunScores:
-    """What is known of one run.
+class EstimateScores:
+    """What is known of one estimate of a run's trajectory.
 
     Attributes
     ----------
-    run : Run
+    poses : Poses
         Levelled: what is planar, or a height, is so against the vertical, where a run knows it.
-    final, causal : TrajectoryScores or None
-        Its poses as known in the end and at their own time; None without a reference.
+    trajectory : TrajectoryScores or None
+        None without a reference.
     claims : dict of str to Normalised
-        Errors beside what was claimed of them, by the name of the statistic.
-    nis : Statistic or None
-    whiteness : Whiteness or None
-        Of the NIS.
+        Errors beside their estimated covariances, by the name of the statistic.
+    fit : Statistic or None
+        None for any but the final estimate.
     map : MapErrors or None
-        Against true landmarks, with the first pose laid on the true one.
+        Against true landmarks, with the first pose laid on the true one; None for any but the final estimate,
+        whose landmarks they are.
     map_aligned : MapErrors or None
         The same with the alignment of the whole trajectory.
     held_out : HeldOutScore or None
         By the tracks that no estimator was given.
     degenerate : tuple of str
-        Why it is no answer to the data, and not to be ranked; empty for a sound run.
+        Why it is no answer to the data, and not to be ranked; empty for a sound estimate.
     """
 
-    run: Run
-    final: TrajectoryScores | None
-    causal: TrajectoryScores | None
+    poses: Poses
+    trajectory: TrajectoryScores | None
     claims: Mapping[str, Normalised]
-    nis: Statistic | None
-    whiteness: Whiteness | None
+    fit: Statistic | None
     map: MapErrors | None
     map_aligned: MapErrors | None
     held_out: HeldOutScore | None
@@ -63,10 +63,59 @@ class RunScores:
 
     @cached_property
     def statistics(self) -> dict[str, Statistic]:
-        """Every statistic whose distribution is known if the run is consistent, by name."""
-        found = {"nis": self.nis, "fit": fit_statistic(self.run)}
-        own = {name: statistic for name, statistic in found.items() if statistic is not None}
-        return {**own, **{name: claim.statistic() for name, claim in self.claims.items()}}
+        """Every statistic whose distribution is known if the estimate is consistent, by name."""
+        own = {} if self.fit is None else {"fit": self.fit}
+        return own | {name: claim.statistic() for name, claim in self.claims.items()}
+
+
+@dataclass(frozen=True)
+class RunScores:
+    """What is known of one run.
+
+    Attributes
+    ----------
+    run : Run
+        Levelled.
+    estimates : dict of "filtered" or "smoothed" to EstimateScores
+        Of each estimate that it has, the final one last.
+    nis : Statistic or None
+    whiteness : Whiteness or None
+        Of the NIS.
+    bias : Normalised or None
+        Errors of the filtered bias beside what was claimed of them.
+    """
+
+    run: Run
+    estimates: Mapping[Estimate, EstimateScores]
+    nis: Statistic | None
+    whiteness: Whiteness | None
+    bias: Normalised | None
+
+    @property
+    def final(self) -> EstimateScores:
+        """Scores of the final estimate."""
+        return self.estimates[self.run.estimates[-1]]
+
+    @cached_property
+    def statistics(self) -> dict[str, Statistic]:
+        """Statistics of the run as a whole, by name."""
+        found = {"nis": self.nis, "nees_bias": None if self.bias is None else self.bias.statistic()}
+        return {name: statistic for name, statistic in found.items() if statistic is not None}
+
+
+@dataclass(frozen=True)
+class EstimatePair:
+    """What is known of the same estimate of two runs together, with no reference involved.
+
+    Attributes
+    ----------
+    agreement : Agreement or None
+        Of their poses; None where one of them claims nothing.
+    held_out : Paired or None
+    """
+
+    agreement: Agreement | None
+    held_out: Paired | None
 
 
 @dataclass(frozen=True)
@@ -75,19 +124,18 @@ class PairScores:
 
     Attributes
     ----------
-    agreement : Agreement or None
-        Of their poses, as known in the end; None where one of them claims nothing.
+    estimates : dict of "filtered" or "smoothed" to EstimatePair
+        Of each estimate that both have: one is never held against the other.
     map : MapDifference or None
+        Of the maps, which are those of the final estimates.
     depth, views : (k,)
         Depth [m] of each landmark of ``map`` from the pose that saw it first, and the number of its views.
-    held_out : Paired or None
     """
 
-    agreement: Agreement | None
+    estimates: Mapping[Estimate, EstimatePair]
     map: MapDifference | None
     depth: Array
     views: IntArray
-    held_out: Paired | None
 
     def by_depth(self) -> list[Bin]:
         """How far the maps are apart, by the depth of the landmarks [m]."""
@@ -121,52 +169,51 @@ def fit_statistic(run: Run) -> Statistic | None:
 def score_run(run: Run, record: Record) -> RunScores:
     """Score one run."""
     run = run.levelled()
-    reference, held = record.reference, record.held_out
-    final = causal = None
-    if reference is not None:
-        final = causal = score_trajectory(run.frame, run.stamp, run.final.world_T_imu, reference)
-        if run.smoothed is not None:
-            causal = score_trajectory(run.frame, run.stamp, run.filtered.world_T_imu, reference)
-    joined, aligned = _map_errors(run, record, final)
+    true_bias = None if record.reference is None else record.reference.bias
     return RunScores(
         run=run,
-        final=final,
-        causal=causal,
-        claims={claim.name: claim for claim in _claims(run, record, final, joined)},
+        estimates={estimate: _score_estimate(run, estimate, record) for estimate in run.estimates},
         nis=normalised.nis_statistic(run),
         whiteness=normalised.nis_whiteness(run),
-        map=joined,
-        map_aligned=aligned,
-        held_out=(
-            score(HeldOut(held.frame, held.track, held.z, record.rig), run.final.world_T_imu, frame=run.frame)
-            if len(held.track)
-            else None
-        ),
-        degenerate=degeneracies(run, record),
+        bias=None if true_bias is None else normalised.bias_errors(run, true_bias),
     )
 
 
-def _claims(
-    run: Run, record: Record, final: TrajectoryScores | None, joined: MapErrors | None
-) -> list[Normalised]:
-    """Errors of poses, biases and landmarks beside what the run claims of them."""
-    reference, found = record.reference, list[Normalised | None]()
-    if reference is None or final is None:
-        return []
-    for causal in (False,) if run.smoothed is None else (False, True):
-        if reference.pose is not None:
-            found += (normalised.pose_errors(run, reference, causal=causal) or {}).values()
-        else:
-            found.append(
-                normalised.position_errors(
-                    run, reference, planar=reference.planar, reference_sigma=reference.sigma, causal=causal
-                )
-            )
-    if reference.bias is not None:
-        found.append(normalised.bias_errors(run, reference.bias))
-    if joined is not None:
-        found.append(joined.normalised)
-    return [claim for claim in found if claim is not None]
+def _score_estimate(run: Run, estimate: Estimate, record: Record) -> EstimateScores:
+    """Score one estimate of a levelled run."""
+    reference, held, poses = record.reference, record.held_out, run.poses(estimate)
+    final = estimate == run.estimates[-1]
+    trajectory = None
+    if reference is not None:
+        trajectory = score_trajectory(run.frame, run.stamp, poses.world_T_imu, reference)
+    joined, aligned = _map_errors(run, record, trajectory) if final else (None, None)
+    claims = _claims(run, estimate, reference) if reference is not None and trajectory is not None else []
+    if joined is not None and joined.normalised is not None:
+        claims.append(joined.normalised)
+    return EstimateScores(
+        poses=poses,
+        trajectory=trajectory,
+        claims={claim.name: claim for claim in claims},
+        fit=fit_statistic(run) if final else None,
+        map=joined,
+        map_aligned=aligned,
+        held_out=(
+            score(HeldOut(held.frame, held.track, held.z, record.rig), poses.world_T_imu, frame=run.frame)
+            if len(held.track)
+            else None
+        ),
+        degenerate=degeneracies(run, record, estimate),
+    )
+
+
+def _claims(run: Run, estimate: Estimate, reference: Reference) -> list[Normalised]:
+    """Errors of the poses of an estimate beside their estimated covariances."""
+    if reference.pose is not None:
+        return list((normalised.pose_errors(run, reference, estimate=estimate) or {}).values())
+    found = normalised.position_errors(
+        run, reference, planar=reference.planar, reference_sigma=reference.sigma, estimate=estimate
+    )
+    return [] if found is None else [found]
 
 
 def _map_errors(
@@ -198,16 +245,22 @@ def score_pair(one: RunScores, other: RunScores, record: Record) -> PairScores:
         points = mapped.points_world[order[own]]
         depth = _depth(apart.track, points, record.given, one.run.frame, one.run.final.world_T_imu)
         views = np.bincount(record.given.track, minlength=int(apart.track.max()) + 1)[apart.track]
-    better = None
-    if one.held_out is not None and other.held_out is not None and len(one.held_out.track):
-        better = paired(one.held_out, other.held_out)
     return PairScores(
-        agreement=agreement(one.run, other.run),
+        estimates={
+            estimate: EstimatePair(
+                agreement=agreement(one.run, other.run, estimates=(estimate, estimate)),
+                held_out=_paired(one.estimates[estimate].held_out, other.estimates[estimate].held_out),
+            )
+            for estimate in shared_estimates(one.run, other.run)
+        },
         map=apart,
         depth=depth,
         views=views,
-        held_out=better,
     )
+
+
+def _paired(one: HeldOutScore | None, other: HeldOutScore | None) -> Paired | None:
+    return None if one is None or other is None or not len(one.track) else paired(one, other)
 
 
 def _depth(track: IntArray, points: Array, tracks: Tracks, frame: IntArray, poses: Array) -> Array:

@@ -1,5 +1,7 @@
 """Figures of what runs claim of themselves: against a reference, and against each other."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -8,11 +10,12 @@ from scipy.stats import chi2
 
 from vislam.base.legible import literal
 from vislam.core.run import Run
+from vislam.evaluation.metric import of_statistic
 from vislam.evaluation.normalised import COMPONENTS, PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
 from vislam.report.shown import COLOURS, Shown
 
-_MAIN = ("nees_pose", "nees_position_planar")
+_MAIN = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 """Statistics of which the first that a run has is drawn over time."""
 _ELLIPSES = 9
 """Frames about the parting of two runs at which their ellipses are drawn."""
@@ -48,9 +51,14 @@ def nees(shown: Shown) -> Figure | None:
     low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
     axes.axhline(1.0, color="k", lw=0.6)
-    axes.set(xlabel="frame", ylabel="NEES per degree of freedom", yscale="log")
+    axes.set(xlabel="frame", ylabel=_title(claims), yscale="log")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return figure
+
+
+def _title(claims: Mapping[str, Normalised]) -> str:
+    """Title of the statistic that is drawn of these runs, of which all have the same reference."""
+    return of_statistic(next(iter(claims.values())).name).title
 
 
 def bands(shown: Shown) -> Figure | None:
@@ -59,7 +67,7 @@ def bands(shown: Shown) -> Figure | None:
     if not claims:
         return None
     size = next(iter(claims.values())).error.shape[1]
-    components = [("x", "m"), ("y", "m")]
+    components = [("x", "m"), ("y", "m"), ("z", "m")][:size]
     if size == len(COMPONENTS):
         components = list(zip(COMPONENTS, ["deg"] * 3 + ["m"] * 3, strict=True))
     figure = Figure(figsize=(7.2, 1.0 + 1.3 * size), layout="constrained")
@@ -98,18 +106,19 @@ def coverage(shown: Shown) -> Figure | None:
 
 def whiteness(shown: Shown) -> Figure | None:
     """Autocorrelation of the NIS over the first lags, with the band of a white sequence."""
-    there = {name: one.whiteness for name, one in shown.scores.items() if one.whiteness is not None}
+    found = {name: shown.evaluation.scores[name].whiteness for name in shown.runs}
+    there = {name: one for name, one in found.items() if one is not None}
     if not there:
         return None
     figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     axes = figure.subplots()
     width = 0.8 / len(there)
-    for index, (name, found) in enumerate(there.items()):
-        at = found.lag - 0.4 + (index + 0.5) * width
-        axes.bar(at, found.autocorrelation, width=width, color=shown.colour(name), label=literal(name))
-        axes.axhspan(-found.band, found.band, color="0.8", lw=0, zorder=0)
+    for index, (name, one) in enumerate(there.items()):
+        at = one.lag - 0.4 + (index + 0.5) * width
+        axes.bar(at, one.autocorrelation, width=width, color=shown.colour(name), label=literal(name))
+        axes.axhspan(-one.band, one.band, color="0.8", lw=0, zorder=0)
     axes.axhline(0.0, color="k", lw=0.6)
-    axes.set(xlabel="lag [frames]", ylabel="autocorrelation of the NIS", xlim=(0.4, LAGS + 0.6))
+    axes.set(xlabel="lag [frames]", ylabel=f"autocorrelation of the {of_statistic('nis').short_title}", xlim=(0.4, LAGS + 0.6))
     axes.legend(loc="best", fontsize=8)
     return figure
 

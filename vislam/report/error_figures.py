@@ -4,7 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vislam.base.legible import literal
+from vislam.core.run import Estimate
 from vislam.evaluation.evaluate import headline
+from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
 from vislam.report.shown import COLOURS, Shown
 
 _WIDTH = 0.8
@@ -13,8 +15,8 @@ _WIDTH = 0.8
 
 def segment_errors(shown: Shown) -> Figure | None:
     """Relative errors by the length of the segments, a box an estimator: quartiles, and 5 to 95 %."""
-    finals = {name: one.final for name, one in shown.scores.items()}
-    scores = {name: final for name, final in finals.items() if final is not None and final.by_distance}
+    trajectories = {name: one.trajectory for name, one in shown.scores.items()}
+    scores = {name: one for name, one in trajectories.items() if one is not None and one.by_distance}
     if not scores:
         return None
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
@@ -45,24 +47,27 @@ def segment_errors(shown: Shown) -> Figure | None:
 
 
 def ladder(shown: Shown) -> Figure | None:
-    """Error of each rung, as known in the end and at its own time."""
+    """Error of each rung, of its filtered and of its smoothed poses."""
     rungs = shown.rungs
     if not rungs:
         return None
     figure = Figure(figsize=(7.2, 0.8 + 0.45 * len(rungs)), layout="constrained")
     axes = figure.subplots()
     place = np.arange(len(rungs))
-    for offset, key, colour, label in (
-        (-0.2, "error", COLOURS[0], "as known in the end"),
-        (0.2, "causal", COLOURS[5], "as known at each time"),
-    ):
-        values = [np.nan if (value := getattr(rung, key)) is None else value for rung in rungs]
-        bars = axes.barh(place + offset, values, height=0.38, color=colour, label=label)
-        told = [f"{value:.2f}" if np.isfinite(value) else "incomplete" for value in values]
+    spec = METRICS[rungs[0].key]
+    drawn: tuple[tuple[Estimate, float, str], ...] = (
+        ("filtered", -0.2, COLOURS[5]),
+        ("smoothed", 0.2, COLOURS[0]),
+    )
+    for estimate, offset, colour in drawn:
+        values = [np.nan if (value := getattr(rung, estimate)) is None else value for rung in rungs]
+        bars = axes.barh(place + offset, values, height=0.38, color=colour, label=ESTIMATE_TITLES[estimate])
+        missing = "incomplete" if estimate == "filtered" else ""
+        told = [f"{value:.{spec.digits}f}" if np.isfinite(value) else missing for value in values]
         axes.bar_label(bars, told, fontsize=7, padding=3)
     axes.set_yticks(place, [literal(f"{rung.run}: {rung.adds}") for rung in rungs], fontsize=8)
     axes.invert_yaxis()
-    axes.set(xlabel="ATE [m]", xscale="log")
+    axes.set(xlabel=spec.label, xscale="log")
     axes.margins(x=0.15)
     axes.legend(loc="lower right", fontsize=8)
     return figure
@@ -70,18 +75,17 @@ def ladder(shown: Shown) -> Figure | None:
 
 def accuracy_against_time(shown: Shown) -> Figure | None:
     """Error against the time that it took, a point for each complete run."""
-    key, label = "held_out_median", "median error of held-out tracks [px]"
-    if shown.reference is not None:
-        key, label = headline(shown.reference), "ATE [m]"
+    key = "held_out_median" if shown.reference is None else headline(shown.reference)
+    time = "total_time_s"
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
     for name, run in shown.runs.items():
-        error, seconds = shown.evaluation.value(name, key), shown.evaluation.value(name, "total_time_s")
+        error, seconds = (shown.evaluation.value(name, one, shown.estimate) for one in (key, time))
         if error is None or seconds is None or not run.complete:
             continue
         axes.plot(seconds, error, "o", ms=9, color=shown.colour(name))
         axes.annotate(literal(name), (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
-    axes.set(xlabel="total time [s]", ylabel=label, xscale="log", yscale="log")
+    axes.set(xlabel=METRICS[time].label, ylabel=METRICS[key].label, xscale="log", yscale="log")
     if not axes.lines:
         return None
     axes.margins(0.2)

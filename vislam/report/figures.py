@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from vislam.base.legible import literal
 from vislam.base.types import Array
+from vislam.core.run import ESTIMATES
 from vislam.evaluation.trajectory import distance_driven
 from vislam.report import consistency_figures, error_figures
 from vislam.report.shown import Shown
@@ -41,8 +42,25 @@ class Drawing:
 
 def all_figures(shown: Shown) -> dict[str, Drawing]:
     """Every figure that can be drawn of a comparison, by file name."""
-    drawn = {name: (title, caption, draw(shown)) for name, (draw, title, caption) in FIGURES.items()}
-    return {name: Drawing(title, caption, f) for name, (title, caption, f) in drawn.items() if f is not None}
+    blocks, found = shown.blocks(), {}
+    for name, (draw, title, caption) in FIGURES.items():
+        parts = {name: (title, shown)}
+        if name in OF_AN_ESTIMATE:
+            parts = {f"{name}_{one.estimate}": (f"{title}, {one.estimate}", one) for one in blocks}
+        for file, (titled, part) in parts.items():
+            figure = draw(part)
+            if figure is not None:
+                found[file] = Drawing(titled, caption, figure)
+    return found
+
+
+def figure_names() -> list[str]:
+    """File names of all figures that there can be."""
+    return [
+        file
+        for name in FIGURES
+        for file in ([f"{name}_{one}" for one in ESTIMATES] if name in OF_AN_ESTIMATE else [name])
+    ]
 
 
 def height_attitude(shown: Shown) -> Figure:
@@ -51,7 +69,7 @@ def height_attitude(shown: Shown) -> Figure:
     rows = figure.subplots(4, 1, sharex=True)
     reference = shown.reference
     for name, run in shown.runs.items():
-        _height_attitude(rows, shown.time(run), run.final.world_T_imu, colour=shown.colour(name), label=name)
+        _height_attitude(rows, shown.time(run), run.final.world_T_imu, colour=shown.colour(name), label=shown.label(name))
     if reference is not None and reference.pose is not None and np.allclose(reference.imu_T_point, np.eye(4)):
         stamp = shown.record.stamp[reference.frame] - shown.record.stamp[0]
         _height_attitude(rows, stamp, reference.pose, colour="black", label=reference.name)
@@ -70,14 +88,14 @@ def _height_attitude(rows: list[Axes], stamp: Array, pose: Array, *, colour: str
 
 
 def error_over_distance(shown: Shown) -> Figure | None:
-    """Position error after alignment over the distance driven, with the causal 3-sigma claim."""
+    """Position error after alignment over the distance driven, with the estimated 3-sigma bound."""
     reference = shown.reference
     if reference is None:
         return None
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.subplots()
     for name, run in shown.runs.items():
-        found = shown.scores[name].final
+        found = shown.scores[name].trajectory
         if found is None:
             continue
         driven = distance_driven(run.final.world_T_imu)
@@ -91,7 +109,7 @@ def error_over_distance(shown: Shown) -> Figure | None:
             color=colour,
             label=literal(name),
         )
-        cov = run.filtered.covariances
+        cov = run.final.covariances
         if np.isfinite(cov).any() and run.innovations.dof.sum() > 0:
             spread = 3.0 * np.sqrt(np.linalg.eigvalsh(cov[:, 3:, 3:])[:, -1])
             axes.plot(driven, spread, "--", lw=0.9, alpha=0.8, color=colour)
@@ -143,6 +161,8 @@ def step_time(shown: Shown) -> Figure:
     return figure
 
 
+OF_AN_ESTIMATE = ("error", "bands", "nees", "coverage", "segments", "distances", "parting", "cost")
+"""Figures that hold runs against each other, and so are drawn of the filtered and of the smoothed apart."""
 FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
     "top_view": (
         top_view,
@@ -153,8 +173,8 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
     "error": (
         error_over_distance,
         "Position error",
-        "Position error after rigid alignment over the distance driven. Dashed: three standard deviations "
-        "since the start, as claimed at the time.",
+        "Position error after rigid alignment over the distance driven. Dashed: three estimated standard "
+        "deviations since the start.",
     ),
     "height_attitude": (height_attitude, "Height and attitude", "Height, roll, pitch and yaw over time."),
     "nis": (

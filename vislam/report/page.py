@@ -17,7 +17,8 @@ from vislam.core.run import Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.report.figures import FIGURES, Drawing
+from vislam.evaluation.metric import ESTIMATE_TITLES
+from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
     counts_table,
@@ -27,7 +28,7 @@ from vislam.report.page_tables import (
     rungs_table,
     worst_table,
 )
-from vislam.report.table import Table, comparison_table
+from vislam.report.table import Table, comparison_tables
 from vislam.report.verdict import verdict
 
 
@@ -67,7 +68,10 @@ def write_page(
         checks=checks,
         verdict=verdict(runs, evaluation, reference),
         reference=reference,
-        table=_turned(comparison_table(runs, evaluation)),
+        tables=[
+            (ESTIMATE_TITLES[estimate], _turned(table))
+            for estimate, table in comparison_tables(runs, evaluation).items()
+        ],
         rungs=rungs_table(rungs),
         pairs=pairs_table(evaluation),
         maps=maps_table(evaluation),
@@ -93,7 +97,7 @@ def write_page(
 def clear_report(folder: Path) -> None:
     """Remove the page and the figures of earlier results, which would stand beside newer metrics."""
     remove(folder / "report.html")
-    for name in FIGURES:
+    for name in figure_names():
         remove(folder / "figures" / f"{name}.png")
     with suppress(OSError):
         (folder / "figures").rmdir()

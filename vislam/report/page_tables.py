@@ -8,21 +8,26 @@ from vislam.core.run import Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
+from vislam.evaluation.metric import METRICS
 from vislam.evaluation.trajectory_scores import WORST_LENGTH
 from vislam.report.table import Table
 
 
 def rungs_table(rungs: Sequence[Rung]) -> Table:
     """A row for each rung of the ladder, against the one before."""
-    header = ["rung", "adds", "ATE [m]", "change [m]", "as known at each time [m]", "the same less ATE [m]"]
+    title = METRICS[rungs[0].key].short_title if rungs else ""
+    header = ["rung", "adds"]
+    header += [f"filtered {title} [m]", "change [m]", f"smoothed {title} [m]", "change [m]"]
+    header.append("smoothed less filtered [m]")
     rows = [
         [
             rung.run,
             rung.adds,
-            _metres(rung.error, ".2f"),
-            _metres(rung.change, "+.2f"),
-            _metres(rung.causal, ".2f"),
-            _metres(rung.causal_less_final, "+.2f"),
+            _metres(rung.filtered, ".2f"),
+            _metres(rung.filtered_change, "+.2f"),
+            _metres(rung.smoothed, ".2f"),
+            _metres(rung.smoothed_change, "+.2f"),
+            _metres(rung.smoothing, "+.2f"),
         ]
         for rung in rungs
     ]
@@ -34,8 +39,11 @@ def _metres(value: float | None, form: str) -> str:
 
 
 def pairs_table(evaluation: Evaluation) -> Table:
-    """A row for each two runs: how far they are apart, who claims more, who predicts better."""
-    header = ["estimators", "apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
+    """A row for each two runs and each estimate that both have: how far apart, who is surer and predicts better.
+
+    The maps are those of the final estimates; they stand in the row of the last estimate that both have.
+    """
+    header = ["estimators", "estimate", "apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
     header += [
         "squared distance per degree of freedom",
         "poses beyond 95 %",
@@ -45,18 +53,19 @@ def pairs_table(evaluation: Evaluation) -> Table:
     header += ["first predicts held-out tracks better [%]", "p"]
     rows = []
     for (one, other), scores in evaluation.pairs.items():
-        found = scores.agreement
-        told = ["-"] * 6
-        if found is not None:
-            certainty, frame = found.certainty(), found.parting()
-            told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
-            told += ["never" if frame is None else str(frame), f"{certainty.overall:.3g}"]
-            told += [certainty.smallest_along, certainty.largest_along]
-        keys = ("trajectory_distance_rmse", "trajectory_distance_aligned_rmse", "map_distance_median")
-        values = [evaluation.value(f"{one}|{other}", key) for key in keys]
-        held = scores.held_out
-        better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
-        rows.append([f"{one} and {other}", *(_metres(value, ".2f") for value in values), *told, *better])
+        for estimate, pair in scores.estimates.items():
+            found, held = pair.agreement, pair.held_out
+            told = ["-"] * 6
+            if found is not None:
+                certainty, frame = found.certainty(), found.parting()
+                told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
+                told += ["never" if frame is None else str(frame), f"{certainty.overall:.3g}"]
+                told += [certainty.smallest_along, certainty.largest_along]
+            keys = ["trajectory_distance_rmse", "trajectory_distance_aligned_rmse", "map_distance_median"]
+            values = [evaluation.value(f"{one}|{other}", key, estimate) for key in keys]
+            better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
+            apart = [_metres(value, ".2f") for value in values]
+            rows.append([f"{one} and {other}", estimate, *apart, *told, *better])
     return Table(header, rows)
 
 
@@ -81,15 +90,16 @@ def _number(value: float, form: str) -> str:
 
 
 def worst_table(evaluation: Evaluation) -> Table:
-    """Where each run errs most."""
+    """Where each estimate of each run errs most."""
     rows = [
-        [name, str(segment.first), str(segment.last), f"{segment.start:.0f}", f"{segment.error:.2f}"]
+        [name, estimate, str(worst.first), str(worst.last), f"{worst.start:.0f}", f"{worst.error:.2f}"]
         for name, one in evaluation.scores.items()
-        if one.final is not None
-        for segment in one.final.worst
+        for estimate, found in one.estimates.items()
+        if found.trajectory is not None
+        for worst in found.trajectory.worst
     ]
-    header = ["estimator", "from frame", "to frame", "begins at [m]", f"error over {WORST_LENGTH:g} m [m]"]
-    return Table(header, rows)
+    header = ["estimator", "estimate", "from frame", "to frame", "begins at [m]"]
+    return Table([*header, f"error over {WORST_LENGTH:g} m [m]"], rows)
 
 
 def counts_table(counts: Mapping[str, int], repairs: Sequence[Repair], runs: Mapping[str, Run]) -> Table:

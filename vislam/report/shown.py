@@ -1,18 +1,18 @@
 """What the figures and the scene are drawn from."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vislam.base.types import Array, IntArray
 from vislam.core.record import Record
 from vislam.core.reference import Reference
-from vislam.core.run import Run
+from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
 from vislam.evaluation.attribution import Rung
-from vislam.evaluation.scores import RunScores
+from vislam.evaluation.scores import EstimateScores
 from vislam.geometry import se3
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
@@ -39,12 +39,15 @@ class Shown:
         Of the drive.
     evaluation : Evaluation
     rungs : sequence of Rung
+    estimate : "filtered", "smoothed" or None
+        The one that is shown, which is then the final one of the runs; None: whatever is theirs.
     """
 
     runs: Mapping[str, Run]
     record: Record
     evaluation: Evaluation
     rungs: Sequence[Rung]
+    estimate: Estimate | None = None
 
     @classmethod
     def of(
@@ -59,27 +62,47 @@ class Shown:
         """What the runs are scored against."""
         return self.record.reference
 
+    def blocks(self) -> "list[Shown]":
+        """One for each estimate that some run has, with the runs that have it and what they have of it."""
+        found = []
+        for estimate in ESTIMATES:
+            own = {name: run for name, run in self.runs.items() if estimate in run.estimates}
+            if estimate == "filtered":
+                own = {name: replace(run, smoothed=None) for name, run in own.items()}
+            if own:
+                found.append(replace(self, runs=own, estimate=estimate))
+        return found
+
     @property
-    def scores(self) -> dict[str, RunScores]:
-        """Scores of the runs that are shown."""
-        return {name: self.evaluation.scores[name] for name in self.runs}
+    def scores(self) -> dict[str, EstimateScores]:
+        """Scores of what is shown of the runs."""
+        every = {name: self.evaluation.scores[name] for name in self.runs}
+        return {
+            name: one.final if self.estimate is None else one.estimates[self.estimate]
+            for name, one in every.items()
+        }
+
+    def label(self, name: str) -> str:
+        """Name of a run, with the estimate that is shown where those of the runs differ."""
+        ends = {run.estimates[-1] for run in self.runs.values()}
+        return name if len(ends) == 1 else f"{name}, {self.runs[name].estimates[-1]}"
 
     def seeing(self) -> list[str]:
         """Runs that have seen the camera, or all, if none has: the others would flatten them in a figure."""
         return [name for name, run in self.runs.items() if len(run.landmarks)] or list(self.runs)
 
     def agreements(self) -> dict[tuple[str, str], Agreement]:
-        """Agreement of each two of these runs, of which both claim something."""
-        seeing = set(self.seeing())
-        return {
-            pair: scores.agreement
-            for pair, scores in self.evaluation.pairs.items()
-            if scores.agreement is not None and seeing >= set(pair)
-        }
+        """Agreement of each two of these runs, of which both claim something, in one estimate."""
+        seeing, found = set(self.seeing()), {}
+        for pair, scores in self.evaluation.pairs.items():
+            one = scores.estimates.get(self.estimate) if self.estimate is not None else None
+            if one is not None and one.agreement is not None and seeing >= set(pair):
+                found[pair] = one.agreement
+        return found
 
     def colour(self, name: str) -> str:
         """Colour of a run, the same in every figure."""
-        return colours(self.runs)[name]
+        return colours(key for key, one in self.evaluation.scores.items() if len(one.run.stamp) > 2)[name]
 
     def time(self, run: Run) -> Array:
         """Time since the start of the recording at each frame of a run, ``(T,)`` [s]."""
@@ -87,7 +110,7 @@ class Shown:
 
     def drawn_T_world(self, name: str, *, planar: bool) -> Array:
         """Motion ``(4, 4)`` that lays a run on the reference; the identity where that cannot be told."""
-        found = self.evaluation.scores[name].final
+        found = self.scores[name].trajectory
         if found is None:
             return np.eye(4)
         laid = found.alignments["planar" if planar else "se3"]

@@ -1,13 +1,13 @@
-"""The table of a comparison: rows of metrics, a column for each estimator."""
+"""The tables of a comparison, one for each estimate: rows of metrics, a column for each estimator."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from vislam.core.run import Run
+from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.metric import METRICS
 
-_LEFT_OUT = ("ate_rmse_causal", "ate_planar_rmse_causal", "height_end")
+_LEFT_OUT = ("height_end", "nees_position_aligned")
 """Metrics that have a name and no row."""
 SHORT = (
     "ate_rmse",
@@ -33,18 +33,32 @@ class Table:
     rows: Sequence[Sequence[str]]
 
 
-def comparison_table(
+def comparison_tables(
     runs: Mapping[str, Run], evaluation: Evaluation, *, keys: Sequence[str] | None = None
+) -> dict[Estimate, Table]:
+    """The table of each estimate that some run has, in it the runs that have it and no other."""
+    found = {}
+    for estimate in ESTIMATES:
+        own = {name: run for name, run in runs.items() if estimate in run.estimates}
+        if own:
+            found[estimate] = _table(own, evaluation, estimate, keys)
+    return found
+
+
+def _table(
+    runs: Mapping[str, Run], evaluation: Evaluation, estimate: Estimate, keys: Sequence[str] | None
 ) -> Table:
-    """Rows that at least one estimator has, a column each; ``keys`` selects rows."""
+    """Rows that at least one run has, a column each; ``keys`` selects rows."""
     rows = []
     for key, spec in METRICS.items():
         if key in _LEFT_OUT or (keys is not None and key not in keys):
             continue
-        values = [evaluation.value(name, key) for name in runs]
+        values = [evaluation.value(name, key, estimate) for name in runs]
         if any(value is not None for value in values):
             rows.append([spec.label, *("-" if v is None else f"{v:.{spec.digits}f}" for v in values)])
-    states = [_state(run, degenerate=bool(evaluation.degenerate(name))) for name, run in runs.items()]
+    states = [
+        _state(run, degenerate=bool(evaluation.degenerate(name, estimate))) for name, run in runs.items()
+    ]
     if any(state != _SOUND for state in states):
         rows.insert(0, ["status", *states])
     return Table(["", *runs], rows)

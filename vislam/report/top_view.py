@@ -77,7 +77,7 @@ def _path(shown: Shown, name: str) -> Array:
 def _paths(axes: Axes, shown: Shown) -> None:
     axes.set_title("all paths", fontsize=9)
     for name in shown.runs:
-        axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.2, label=literal(name))
+        axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.2, label=literal(shown.label(name)))
     if shown.reference is not None:
         axes.plot(*shown.reference.position[:, :2].T, "k.", ms=2, label=literal(shown.reference.name))
 
