@@ -29,6 +29,15 @@ VALUES = {
     ("ekf|isam2", "trajectory_distance_rmse"): (0.4, "m"),
 }
 EVALUATION = Evaluation([Metric(*key, *value) for key, value in VALUES.items()])
+BOTH = Evaluation(
+    [
+        Metric("ekf", "ate_rmse", 2.0, "m", estimate="filtered"),
+        Metric("isam2", "ate_rmse", 2.5, "m", estimate="filtered"),
+        Metric("isam2", "ate_rmse", 1.5, "m", estimate="smoothed"),
+        Metric("isam2", "peak_rss_mb", 90.0, "MB"),
+    ]
+)
+"""A filter, and a smoother that is worse at each frame and better in the end."""
 
 
 @cache
@@ -78,7 +87,8 @@ def runs(**errors):
 def saved(values=None, *, complete=True) -> Saved:
     values = {("isam2", "ate_rmse"): 1.45, ("isam2", "total_time_s"): 1.0} if values is None else values
     done = {name: complete for name, _ in values}
-    return Saved(Path("old/metrics.json"), "drive", "d" * 64, "truth", done, values)
+    entries = {(name, key, None): value for (name, key), value in values.items()}
+    return Saved(Path("old/metrics.json"), "drive", "d" * 64, "truth", done, entries)
 
 
 def judged(*checks, old=None, evaluation=EVALUATION, **errors):
@@ -142,6 +152,33 @@ def test_a_bound_that_is_not_kept_or_cannot_be_judged_does_not_hold_and_says_why
     assert verdict.line() == f"FAILS  {text}"
 
 
+OF_AN_ESTIMATE = {
+    "holds  isam2 ate_rmse at most 1.5 m: 1.5 m": bound(at_most=1.5),
+    "holds  isam2 smoothed ate_rmse at most 1.5 m: 1.5 m": bound(at_most=1.5, estimate="smoothed"),
+    "FAILS  isam2 filtered ate_rmse at most 1.5 m: 2.5 m": bound(at_most=1.5, estimate="filtered"),
+    "holds  isam2 filtered peak_rss_mb at most 90 MB: 90 MB": bound(
+        metric="peak_rss_mb", at_most=90, estimate="filtered"
+    ),
+    "FAILS  ekf smoothed ate_rmse at most 2: ekf has no such metric of its smoothed poses; it has none": (
+        bound("ekf", at_most=2, estimate="smoothed")
+    ),
+    # Of two runs the last estimate that both have: the smoothed one is not held against a filtered one.
+    "FAILS  isam2 ate_rmse at most 1 times that of ekf: 2.5 m, ekf 2 m": bound(at_most=1, times="ekf"),
+}
+
+
+@pytest.mark.parametrize("line", OF_AN_ESTIMATE)
+def test_a_check_is_of_the_estimate_that_it_names_or_else_of_the_final_one(line):
+    (verdict,) = judged(OF_AN_ESTIMATE[line], evaluation=BOTH)
+    assert verdict.line() == line
+
+
+def test_a_verdict_says_of_which_estimate_it_is():
+    checks = [bound(at_most=9), bound(at_most=9, estimate="filtered"), bound(metric="peak_rss_mb", at_most=9)]
+    found = judged(*checks, evaluation=BOTH)
+    assert [verdict.record()["estimate"] for verdict in found] == ["smoothed", "filtered", None]
+
+
 def test_an_incomplete_run_holds_nothing_even_if_its_part_is_accurate():
     verdicts = judged(bound(at_most=9), bound("ekf", at_most=9, times="isam2"), isam2="frame 9: lost")
     assert [verdict.measured for verdict in verdicts] == ["isam2 is incomplete: frame 9: lost"] * 2
@@ -162,7 +199,7 @@ MISTAKES = {
     "checks.0: at_least must not be above at_most, got 2 and 1": bound(at_least=2, at_most=1),
     "checks.0: test has its bounds from false_alarm_rate": {"estimator": "ekf", "test": "nis", "at_most": 1},
     "checks.0: times must name another run": bound(at_most=1, times="isam2"),
-    "checks.0.atmost: unknown key; known are at_least, at_most, estimator": bound(atmost=1),
+    "checks.0.atmost: unknown key; known are at_least, at_most, estimate, estimator": bound(atmost=1),
     "checks.0.at_most: Input should be a finite number": bound(at_most=float("inf")),
     "checks.0.estimator: ": {"metric": "ate_rmse", "at_most": 1},
     "checks.0.estimator: expected one of ekf, isam2, got ukf": bound("ukf", at_most=1),
@@ -222,7 +259,7 @@ def consistency_tests(count):
 
 
 def statistics(values):
-    return Evaluation([], {("ekf", f"nees_{index}"): Fake(value) for index, value in enumerate(values)})
+    return Evaluation([], {("ekf", f"nees_{index}", None): Fake(value) for index, value in enumerate(values)})
 
 
 def test_a_test_says_value_interval_samples_rate_and_convention():

@@ -103,14 +103,14 @@ def test_a_mistake_gets_one_line_and_2_before_anything_runs(case, capsys):
 def test_a_rerun_is_no_worse_than_what_was_saved_and_a_worse_one_is(capsys):
     assert command("old") == 0
     assert command("new", "--against", str(metrics("old").parent)) == 0
-    assert "holds  ekf ate_rmse at most 1.05 times the saved" in capsys.readouterr().out
+    assert "holds  ekf filtered ate_rmse at most 1.05 times the saved" in capsys.readouterr().out
     names = {check["name"] for check in json.loads(metrics("new").read_text())["checks"]}
-    assert {"ate_rmse", "ate_rmse_causal", "map_error_median"} <= names
+    assert {"ate_rmse", "rpe_5m_rmse", "map_error_median"} <= names
     assert not any("time" in name or "rss" in name for name in names)
     # Told that its inertial data is far better than it is, the filter comes out worse.
     wrong = ["--set", "noise.twist_density=[1.e-6, 1.e-6, 1.e-6, 1.e-5, 1.e-5, 1.e-5]"]
     assert command("worse", "--against", str(metrics("old")), *wrong) == 3
-    assert "FAILS  ekf ate_rmse at most 1.05 times the saved" in capsys.readouterr().out
+    assert "FAILS  ekf filtered ate_rmse at most 1.05 times the saved" in capsys.readouterr().out
 
 
 def test_a_check_of_its_own_says_how_much_worse_it_may_be():
@@ -141,12 +141,14 @@ BROKEN = {
     "not JSON": (lambda text: text[:40], "not a metrics.json"),
     "not a mapping": (lambda text: "[1]", "expected a mapping of keys, got list"),
     "another schema": (
-        lambda text: text.replace('"schema_version": 1', '"schema_version": 99'),
-        "schema_version must be 1, got 99",
+        lambda text: text.replace('"schema_version": 2', '"schema_version": 99'),
+        "schema_version must be 2, got 99",
     ),
-    "no dataset": (lambda text: '{"schema_version": 1}', "dataset: Field required"),
+    "no dataset": (lambda text: '{"schema_version": 2}', "dataset: Field required"),
     "a value that is none": (
-        lambda text: text.replace("[]", '[{"estimator": "ekf", "key": "ate_rmse", "value": null}]'),
+        lambda text: text.replace(
+            "[]", '[{"estimator": "ekf", "key": "ate_rmse", "estimate": null, "value": null}]'
+        ),
         "metrics.0.value: Input should be a valid number, got None",
     ),
 }
@@ -156,7 +158,7 @@ BROKEN = {
 def test_broken_saved_results_get_one_line_and_2(case, capsys):
     change, message = BROKEN[case]
     dataset = {"name": "s", "digest": "d", "reference": None}
-    whole = {"schema_version": 1, "dataset": dataset, "runs": {}, "metrics": []}
+    whole = {"schema_version": 2, "dataset": dataset, "runs": {}, "metrics": []}
     Path("broken.json").write_text(change(json.dumps(whole)), encoding="utf-8")
     assert command("out", "--against", "broken.json") == 2
     said = capsys.readouterr().err

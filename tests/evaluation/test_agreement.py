@@ -56,7 +56,7 @@ def test_a_smoother_and_a_filter_with_the_same_error_in_part_are_closer(rng):
     found = agreement(
         made_run("filter", truth, filtered=Poses(filtered, late + more)),
         made_run("smoother", smoother, cov=late),
-        causal=(True, False),
+        estimates=("filtered", "filtered"),
     )
     assert 0.2 < found.per_freedom < 0.8
     assert found.share_beyond() < 0.02
@@ -129,7 +129,7 @@ def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
 def test_the_bound_of_parting_is_shared_out_over_the_frames(rng, frames):
     """Errors that stay, as those of a pose do, are beyond the bound of one frame in one drive of many."""
     alarm = 0.01
-    made = Agreement(*(np.arange(frames), *[np.empty(0)] * 4))
+    made = Agreement(("filtered", "filtered"), *(np.arange(frames), *[np.empty(0)] * 4))
     level = chi2.isf(alarm / frames, 6)
     for share, expected in ((0.999, None), (1.001, 0)):
         assert replace(made, squared=np.full(frames, share * level)).parting(alarm) == expected
@@ -191,7 +191,7 @@ def test_frames_without_both_covariances_are_left_out(rng):
     found = agreement(altered(one, cov=cov), other)
     assert np.array_equal(found.frame, [*range(1, 7), *range(8, FRAMES)])
     bare = replace(other, filtered=Poses(other.filtered.world_T_imu), smoothed=other.filtered)
-    assert agreement(one, bare, causal=(False, True)) is None
+    assert agreement(one, bare, estimates=("filtered", "filtered")) is None
     assert agreement(made_run("none", circle(0)), other) is None
 
 

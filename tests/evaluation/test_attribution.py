@@ -6,22 +6,24 @@ import pytest
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
 from vislam.core.reference import Reference
+from vislam.core.run import ESTIMATES
 from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import attribute
 from vislam.evaluation.evaluate import Metric
 
 LADDER = {"low": "inertial samples", "middle": "the camera", "high": "smoothing"}
-ERRORS = {"low": (10.0, 10.0), "middle": (4.0, 4.5), "high": (5.0, 8.0)}
-"""Final and causal error of each run [m]."""
+ERRORS = {"low": (10.0, None), "middle": (4.5, 4.0), "high": (8.0, 5.0)}
+"""Error of the filtered and of the smoothed poses of each run [m]."""
 
 
 def made_ladder(key, **changes):
     """Runs in another order than the ladder's, with made-up scores."""
     runs = {name: made_run(name, circle(10), **changes.get(name, {})) for name in sorted(ERRORS)}
     scores = [
-        Metric(name, key + suffix, value, "m", "truth")
+        Metric(name, key, value, "m", "truth", estimate=estimate)
         for name, pair in ERRORS.items()
-        for suffix, value in zip(("", "_causal"), pair, strict=True)
+        for estimate, value in zip(ESTIMATES, pair, strict=True)
+        if value is not None
     ]
     return runs, Evaluation(scores)
 
@@ -38,20 +40,20 @@ def test_each_rung_is_held_against_the_one_below(planar):
     low, middle, high = attribute(LADDER, runs, scores, reference)
     assert [rung.run for rung in (low, middle, high)] == list(LADDER)
     assert [rung.adds for rung in (low, middle, high)] == list(LADDER.values())
-    assert (low.error, low.change, low.causal_less_final) == (10.0, None, 0.0)
-    assert (middle.error, middle.causal, middle.change, middle.causal_less_final) == (4.0, 4.5, -6.0, 0.5)
-    # A rung may make it worse than the one below, though it is better than it was at the time.
-    assert (high.change, high.causal_less_final) == (1.0, 3.0)
-    assert middle.change + high.change == high.error - low.error
+    assert (low.filtered, low.filtered_change, low.smoothed, low.smoothing) == (10.0, None, None, None)
+    assert (middle.filtered, middle.smoothed, middle.filtered_change) == (4.5, 4.0, -5.5)
+    # There is nothing smoothed below: what smoothing does is told within the run.
+    assert (middle.smoothed_change, middle.smoothing) == (None, -0.5)
+    # A rung may make it worse than the one below, though smoothing makes it better.
+    assert (high.filtered_change, high.smoothed_change, high.smoothing) == (3.5, 1.0, -3.0)
 
 
 def test_an_incomplete_run_is_no_rung_to_stand_on():
     runs, scores = made_ladder("ate_rmse", middle={"error": "frame 5: lost"})
     low, middle, high = attribute(LADDER, runs, scores, of_truth(circle(10)))
-    assert (low.error, middle.error, high.error) == (10.0, None, 5.0)
-    assert middle.change is None
-    assert middle.causal_less_final is None
-    assert high.change is None
+    assert (low.filtered, middle.filtered, high.filtered) == (10.0, None, 8.0)
+    assert (middle.filtered_change, middle.smoothed, middle.smoothing) == (None, None, None)
+    assert (high.filtered_change, high.smoothed_change, high.smoothing) == (None, None, -3.0)
 
 
 def test_without_a_reference_nobody_knows():

@@ -11,10 +11,11 @@ from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Tracks
+from vislam.core.trajectory import Poses
 from vislam.evaluation import evaluate
 from vislam.evaluation.degenerate import degeneracies
 from vislam.geometry import se3
-from vislam.report.table import comparison_table
+from vislam.report.table import comparison_tables
 from vislam.report.verdict import verdict
 
 OBSERVATIONS = 1000
@@ -148,9 +149,22 @@ def test_what_is_degenerate_is_marked_in_the_table_and_not_ranked():
     evaluation = evaluate(runs, record)
     assert evaluation.value("blown", "ate_rmse") < evaluation.value("good", "ate_rmse")
     first, second, *_ = verdict(runs, evaluation, record.reference)
-    assert first.startswith("Closest to truth is good (ATE after rigid alignment: good ")
+    assert first.startswith("Filtered: good 0.07 m from truth (ATE, SE(3) aligned), with none to")
     assert "blown" not in first
-    assert second == "Degenerate and not ranked: blown (fused 3 of 1000 observations only)."
-    assert comparison_table(runs, evaluation).rows[0] == ["status", "complete", "DEGENERATE"]
+    assert second == "Filtered: degenerate and not ranked: blown (fused 3 of 1000 observations only)."
+    assert comparison_tables(runs, evaluation)["filtered"].rows[0] == ["status", "complete", "DEGENERATE"]
     only = {"blown": runs["blown"]}
-    assert verdict(only, evaluate(only, record), record.reference)[0].startswith("No estimator finished")
+    assert verdict(only, evaluate(only, record), record.reference)[0].startswith("Filtered: no estimator")
+
+
+def test_each_estimate_is_judged_by_its_own_poses():
+    truth = circle()
+    record = record_of(truth)
+    jumping = truth.copy()
+    jumping[200:, 0, 3] += 50.0
+    run = replace(run_of(truth), filtered=Poses(jumping), smoothed=Poses(truth), fit=(1e6 * 50, 50))
+    (jump,) = degeneracies(run, record, "filtered")
+    assert jump.startswith("jumps: 1 steps")
+    (fit,) = degeneracies(run, record, "smoothed")
+    assert fit.startswith("does not fit its measurements")
+    assert degeneracies(run, record) == (fit,)

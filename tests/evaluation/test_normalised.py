@@ -161,24 +161,29 @@ def test_a_covariance_that_is_positive_definite_in_some_axes_only_is_left_out(rn
 def test_nothing_is_said_of_a_run_or_a_reference_that_does_not_give_it(rng):
     truth, run = drive(rng)
     run = replace(run, filtered=Poses(run.filtered.world_T_imu), smoothed=run.filtered)
-    assert pose_errors(run, of_truth(truth), causal=True) is None
+    assert pose_errors(run, of_truth(truth), estimate="filtered") is None
     assert pose_errors(run, replace(of_truth(truth), pose=None)) is None
-    assert position_errors(run, of_truth(truth), planar=True, reference_sigma=1.0, causal=True) is None
+    assert (
+        position_errors(run, of_truth(truth), planar=True, reference_sigma=1.0, estimate="filtered") is None
+    )
     assert bias_errors(run, np.zeros(6)) is None
     assert nis_statistic(run) is None
     assert nis_whiteness(run) is None
 
 
-def test_poses_at_their_own_time_have_their_own_covariances(rng):
+def test_filtered_poses_have_their_own_covariances(rng):
     truth, run = drive(rng)
-    causal = replace(
+    both = replace(
         run,
         filtered=Poses(run.final.world_T_imu, 4.0 * run.final.cov),
         smoothed=Poses(truth, run.final.cov),
     )
-    final, own = pose_errors(run, of_truth(truth)), pose_errors(causal, of_truth(truth), causal=True)
-    assert np.allclose(own["pose"].nees, 0.25 * final["pose"].nees)
-    assert own["pose"].name == "nees_pose_causal"
+    alone, own = pose_errors(run, of_truth(truth)), pose_errors(both, of_truth(truth), estimate="filtered")
+    assert np.allclose(own["pose"].nees, 0.25 * alone["pose"].nees)
+    assert own["pose"].name == "nees_pose"
+    assert np.allclose(pose_errors(both, of_truth(truth))["pose"].nees, 0.0)
+    with pytest.raises(ValueError, match="smoothed poses"):
+        pose_errors(run, of_truth(truth), estimate="smoothed")
 
 
 def surveyed(truth, size):

@@ -18,7 +18,11 @@ from vislam.evaluation import evaluate
 
 @pytest.fixture(scope="module")
 def results(short_config: Config, tmp_path_factory) -> Results:
-    sections = {"dead_reckoning": {}, "eks": {"observability": True}, "isam2": {"marginals": "all"}}
+    sections = {
+        "dead_reckoning": {},
+        "eks": {"observability": True},
+        "isam2": {"marginals": "all", "pose_cov_every": 1},
+    }
     config = replace(short_config, seed=3, estimators=sections)
     terminal, out = Terminal(), tmp_path_factory.mktemp("scores")
     return compare(
@@ -40,7 +44,7 @@ def keys(evaluation, name):
 
 
 def test_every_metric_stands_once_and_is_a_number(results, evaluation):
-    assert max(Counter((m.estimator, m.key) for m in evaluation.metrics).values()) == 1
+    assert max(Counter((m.estimator, m.key, m.estimate) for m in evaluation.metrics).values()) == 1
     assert all(metric.unit for metric in evaluation.metrics)
     # Nothing in the document is beyond JSON, which knows no NaN.
     json.dumps(metrics_document(results, evaluation, (), ()), allow_nan=False)
@@ -48,8 +52,8 @@ def test_every_metric_stands_once_and_is_a_number(results, evaluation):
 
 def test_metrics_are_those_of_the_scores(results, evaluation):
     for name, run in results.runs.items():
-        scores = evaluation.scores[name]
-        absolute = scores.final.absolute["se3"]
+        scores = evaluation.scores[name].final
+        absolute = scores.trajectory.absolute["se3"]
         assert evaluation.value(name, "ate_rmse") == absolute.position.rmse
         assert evaluation.value(name, "ate_rmse") <= evaluation.value(name, "ate_yaw_position_rmse")
         assert evaluation.value(name, "ate_sim3_rmse") <= evaluation.value(name, "ate_rmse")
@@ -81,7 +85,7 @@ def test_every_claim_has_its_coverage_and_says_its_convention(evaluation):
             shares = [evaluation.value(name, f"coverage_{part}_{k}sigma") for k in (1, 2, 3)]
             assert shares == sorted(shares)
             assert 0.0 <= shares[0] <= shares[2] <= 1.0
-        (metric,) = [m for m in evaluation.metrics if (m.estimator, m.key) == (name, "nees_pose")]
+        metric = evaluation.metric(name, "nees_pose")
         assert "right perturbation" in metric.convention
         assert metric.against == "truth"
 
@@ -152,12 +156,68 @@ def test_a_run_with_gaps_is_compared_on_the_frames_that_it_has(results, evaluati
     whole, rows = results.runs["isam2"], np.arange(0, 25, 3)
     some = replace(on_frames(whole, rows), name="some")
     found = evaluate({**results.runs, "some": some}, results.record)
-    claims, all_claims = found.scores["some"].claims, evaluation.scores["isam2"].claims
+    claims, all_claims = found.scores["some"].final.claims, evaluation.scores["isam2"].final.claims
     shared = np.isin(all_claims["nees_pose"].index, claims["nees_pose"].index)
     assert np.array_equal(claims["nees_pose"].index, rows[1:])
     assert np.allclose(claims["nees_pose"].nees, all_claims["nees_pose"].nees[shared])
-    apart = found.pairs["isam2", "some"].agreement
+    apart = found.pairs["isam2", "some"].estimates["smoothed"].agreement
     assert np.array_equal(apart.frame, rows[1:])
     assert np.allclose(apart.squared, 0.0, atol=1e-9)
     # Tracks with a view in a frame that it lacks count as lost.
     assert found.value("some", "tracks_held_out_capped") > 0
+
+
+FINAL_ONLY = ("map_error", "map_completeness", "map_found", "nees_landmark", "coverage_landmark", "fit_")
+"""How keys start of what belongs to the landmarks and residuals in the end."""
+
+
+@pytest.mark.parametrize("name", ["eks", "isam2"])
+def test_filtered_scores_are_those_of_a_run_that_has_filtered_poses_alone(results, evaluation, name):
+    run = replace(results.runs[name], smoothed=None)
+    alone = evaluate({name: run}, results.record)
+    own = {m.key: m.value for m in evaluation.metrics if (m.estimator, m.estimate) == (name, "filtered")}
+    assert {"ate_rmse", "rpe_5m_rmse", "drift_end", "held_out_median", "nees_pose", "height_end"} <= set(own)
+    # What the steps took is less than what they and the smoothing took.
+    assert 0.0 < own.pop("total_time_s") < evaluation.value(name, "total_time_s", "smoothed")
+    for key, value in own.items():
+        assert alone.value(name, key) == value, key
+    other = {m.key for m in alone.metrics if (m.estimator, m.estimate) == (name, "filtered")} - set(own)
+    assert all(key.startswith(FINAL_ONLY) or key == "total_time_s" for key in other)
+
+
+@pytest.mark.parametrize("name", ["eks", "isam2"])
+def test_every_score_of_the_poses_is_there_of_both_estimates(evaluation, name):
+    of = {
+        estimate: {m.key for m in evaluation.metrics if (m.estimator, m.estimate) == (name, estimate)}
+        for estimate in ("filtered", "smoothed", None)
+    }
+    assert of["filtered"] <= of["smoothed"]
+    assert all(key.startswith(FINAL_ONLY) for key in of["smoothed"] - of["filtered"])
+    # Of the run as a whole: its time, its counts, and how the observations met its predictions.
+    assert not of[None] & (of["filtered"] | of["smoothed"])
+    assert {"step_time_p50_ms", "peak_rss_mb", "observations_used", "frames"} <= of[None]
+    assert evaluation.value(name, "ate_rmse") == evaluation.value(name, "ate_rmse", "smoothed")
+    assert evaluation.value(name, "ate_rmse", "filtered") > evaluation.value(name, "ate_rmse", "smoothed")
+    assert evaluation.statistic(name, "nees_pose") is evaluation.statistic(name, "nees_pose", "smoothed")
+
+
+def test_two_runs_are_held_against_each_other_by_the_same_estimate_only(evaluation):
+    assert tuple(evaluation.pairs["eks", "isam2"].estimates) == ("filtered", "smoothed")
+    mixed = evaluation.pairs["dead_reckoning", "eks"]
+    assert tuple(mixed.estimates) == ("filtered",)
+    pair = "dead_reckoning|eks"
+    assert {m.estimate for m in evaluation.metrics if m.estimator == pair} == {"filtered"}
+    assert evaluation.value(pair, "trajectory_distance_rmse", "smoothed") is None
+    apart = evaluation.value("eks|isam2", "trajectory_distance_rmse", "filtered")
+    assert apart != evaluation.value("eks|isam2", "trajectory_distance_rmse")
+    found = evaluation.pairs["eks", "isam2"].estimates["filtered"].agreement
+    assert found.estimates == ("filtered", "filtered")
+
+
+def test_a_final_estimate_without_covariances_is_not_lent_those_of_the_filtered_one(results):
+    run = results.runs["isam2"]
+    bare = replace(run, smoothed=replace(run.smoothed, cov=None))
+    found = evaluate({"isam2": bare}, results.record)
+    assert found.value("isam2", "nees_pose", "filtered") is not None
+    assert found.value("isam2", "nees_pose") is None
+    assert found.statistic("isam2", "nees_pose") is None

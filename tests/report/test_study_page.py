@@ -25,9 +25,9 @@ def page(folder, records, **changes):
 @pytest.mark.parametrize(
     ("sweep", "wanted"),
     [
-        ({}, {"nees", "cost"}),
-        (PIXELS, {"response", "nees", "cost"}),
-        (FORMS, {"response", "heat_map", "nees", "cost"}),
+        ({}, {"nees_filtered", "cost_filtered"}),
+        (PIXELS, {"response_filtered", "nees_filtered", "cost_filtered"}),
+        (FORMS, {"response_filtered", "heat_map_filtered", "nees_filtered", "cost_filtered"}),
     ],
     ids=["seeds", "one parameter", "two parameters"],
 )

@@ -9,8 +9,9 @@ from vislam.base.errors import ConfigError
 from vislam.checks.saved import Saved
 from vislam.checks.settings import SAVED, Check, refuse_unknown
 from vislam.core.reference import Reference
-from vislam.core.run import Run
+from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
+from vislam.evaluation.lookup import Lookup
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class Verdict:
         Key of the metric, or name of the statistic.
     convention : str
         What the number is, for a statistic: its error, axes, gauge and covariance.
+    estimate : "filtered", "smoothed" or None
+        Of which poses it is; None for a number of the run as a whole, or where there is none.
     """
 
     check: str
@@ -37,6 +40,7 @@ class Verdict:
     estimator: str
     name: str
     convention: str = ""
+    estimate: Estimate | None = None
 
     def line(self) -> str:
         """One line of text."""
@@ -142,33 +146,42 @@ class _Judge:
         return self._test(check) if check.test is not None else self._bound(check)
 
     def _bound(self, check: Check) -> Verdict:
-        value = self.evaluation.value(check.estimator, check.name)
-        if value is None:
-            return _verdict(check, False, self._missing(check))
-        unit = self._unit(check)
-        factor, scale = self._scale(check, unit)
+        estimate = self._estimate(check)
+        found = self.evaluation.metric(check.estimator, check.name, estimate)
+        if found is None:
+            return _verdict(check, False, self._missing(check, estimate))
+        value, unit = found.value, "" if found.unit == "1" else f" {found.unit}"
+        factor, scale = self._scale(check, estimate, unit)
         if factor is None:
             return _verdict(check, False, scale)
         low = None if check.at_least is None else check.at_least * factor
         high = None if check.at_most is None else check.at_most * factor
         # Written so that a NaN on either side does not hold.
         holds = (low is None or value >= low) and (high is None or value <= high)
-        return _verdict(check, holds, f"{value:.4g}{unit}{scale}", unit if check.times is None else "")
+        told = _verdict(check, holds, f"{value:.4g}{unit}{scale}", unit if check.times is None else "")
+        return replace(told, estimate=found.estimate)
 
-    def _scale(self, check: Check, unit: str) -> tuple[float | None, str]:
+    def _estimate(self, check: Check) -> Estimate:
+        """The estimate that a check is about: of two runs, the last that they share."""
+        if check.estimate is not None:
+            return check.estimate
+        names = [check.estimator] if check.times in (None, SAVED) else [check.estimator, str(check.times)]
+        return min((self.evaluation.final(name) for name in names), key=ESTIMATES.index)
+
+    def _scale(self, check: Check, estimate: Estimate, unit: str) -> tuple[float | None, str]:
         """What the bounds are multiples of, and how that is told; None if there is nothing, and why."""
         if check.times is None:
             return 1.0, ""
         if check.times == SAVED:
             saved = self.checklist.saved
             assert saved is not None
-            factor = saved.values.get((check.estimator, check.name))
+            factor = Lookup(saved.values).find(check.estimator, check.name, estimate)
             lacking = [name for name in check.runs if not saved.complete.get(name, False)]
             if factor is None or lacking:
                 why = f"no complete run of {lacking[0]}" if lacking else f"no {check.name}"
                 return None, f"{why} in {saved.path}"
             return factor, f", saved {factor:.4g}{unit}"
-        factor = self.evaluation.value(check.times, check.name)
+        factor = self.evaluation.value(check.times, check.name, estimate)
         if factor is None:
             return None, f"{check.times} has no {check.name}"
         return factor, f", {check.times} {factor:.4g}{unit}"
@@ -180,9 +193,11 @@ class _Judge:
         and leaves a verdict the same whatever the others come to. Holm's method would reject more, but only
         once another has been rejected, and then the results have failed anyway.
         """
-        found = self.evaluation.statistic(check.estimator, check.name)
+        estimate = self._estimate(check)
+        found = self.evaluation.statistic(check.estimator, check.name, estimate)
         if found is None:
-            return _verdict(check, False, f"{check.estimator} has no such statistic")
+            of = "" if check.estimate is None else f" of its {estimate} poses"
+            return _verdict(check, False, f"{check.estimator} has no such statistic{of}")
         tests = sum(other.test is not None for other in self.checklist.checks)
         rate = self.checklist.false_alarm_rate
         low, high = found.interval(1.0 - rate / tests)
@@ -192,20 +207,14 @@ class _Judge:
             f"{found.effective:.4g} effective of {found.samples} samples, "
             f"{found.freedom:.3g} degrees of freedom each, false-alarm rate {together})"
         )
-        return replace(_verdict(check, low <= found.value <= high, measured), convention=found.convention)
+        told = _verdict(check, low <= found.value <= high, measured)
+        own = (check.estimator, check.name, estimate) in self.evaluation.statistics
+        return replace(told, convention=found.convention, estimate=estimate if own else None)
 
-    def _unit(self, check: Check) -> str:
-        units = (
-            m.unit for m in self.evaluation.metrics if (m.estimator, m.key) == (check.estimator, check.name)
-        )
-        unit = next(units)
-        return "" if unit == "1" else f" {unit}"
-
-    def _missing(self, check: Check) -> str:
-        known = sorted(
-            {metric.key for metric in self.evaluation.metrics if metric.estimator == check.estimator}
-        )
-        return f"{check.estimator} has no such metric; it has {', '.join(known) or 'none'}"
+    def _missing(self, check: Check, estimate: Estimate) -> str:
+        known = self.evaluation.keys(check.estimator, estimate)
+        of = "" if check.estimate is None else f" of its {estimate} poses"
+        return f"{check.estimator} has no such metric{of}; it has {', '.join(known) or 'none'}"
 
 
 def _verdict(check: Check, holds: bool, measured: str, unit: str = "") -> Verdict:
@@ -214,12 +223,13 @@ def _verdict(check: Check, holds: bool, measured: str, unit: str = "") -> Verdic
 
 def _text(check: Check, unit: str) -> str:
     """What a check demands, in words."""
+    name = check.name if check.estimate is None else f"{check.estimate} {check.name}"
     if check.test is not None:
-        return f"{check.estimator} {check.name} is that of a consistent estimator"
+        return f"{check.estimator} {name} is that of a consistent estimator"
     bounds = []
     if check.at_least is not None:
         bounds.append(f"at least {check.at_least:g}")
     if check.at_most is not None:
         bounds.append(f"at most {check.at_most:g}")
     of = {None: unit, SAVED: " times the saved"}.get(check.times, f" times that of {check.times}")
-    return f"{check.estimator} {check.name} {' and '.join(bounds)}{of}"
+    return f"{check.estimator} {name} {' and '.join(bounds)}{of}"

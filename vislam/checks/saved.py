@@ -14,6 +14,8 @@ from vislam.base.errors import ConfigError, DataError, first_line
 from vislam.base.files import open_regular
 from vislam.base.legible import brief
 from vislam.checks.settings import SAVED, Check
+from vislam.core.run import Estimate
+from vislam.evaluation.lookup import Entry
 from vislam.evaluation.metric import is_error
 
 _MOST_BYTES = 1 << 26
@@ -25,6 +27,7 @@ _Word = Annotated[str, Field(strict=True, pattern="^[ -~]{1,200}$")]
 class _Metric:
     estimator: _Word
     key: _Word
+    estimate: Estimate | None
     value: Annotated[StrictFloat, Field(allow_inf_nan=False)]
 
 
@@ -61,8 +64,8 @@ class Saved:
         Name of what they were scored against.
     complete : dict of str to bool
         Whether each run had finished.
-    values : dict of (str, str) to float
-        Metrics by run and key.
+    values : dict of Entry to float
+        Metrics by run, key and estimate.
     """
 
     path: Path
@@ -70,7 +73,7 @@ class Saved:
     digest: str
     reference: str | None
     complete: dict[str, bool]
-    values: dict[tuple[str, str], float]
+    values: dict[Entry, float]
 
     @classmethod
     def read(cls, path: Path, *, schema_version: int) -> "Saved":
@@ -87,7 +90,7 @@ class Saved:
             found = settings.parse(_Document, tree)
         except ConfigError as error:
             raise DataError(f"{path}: {brief(str(error))}") from None
-        values = {(metric.estimator, metric.key): metric.value for metric in found.metrics}
+        values = {(metric.estimator, metric.key, metric.estimate): metric.value for metric in found.metrics}
         if len(values) < len(found.metrics):
             raise DataError(f"{path}: must hold each metric of a run once; write it anew with this version")
         return cls(
@@ -123,8 +126,8 @@ class Saved:
             If the saved results have no such metric.
         """
         found = tuple(
-            Check(estimator=name, metric=key, at_most=1.0 + tolerance, times=SAVED)
-            for name, key in self.values
+            Check(estimator=name, metric=key, estimate=estimate, at_most=1.0 + tolerance, times=SAVED)
+            for name, key, estimate in self.values
             if name in estimators and is_error(key)
         )
         if not found:

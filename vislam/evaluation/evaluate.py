@@ -56,8 +56,12 @@ class Evaluation:
 
     def statistic(self, estimator: str, name: str, estimate: Estimate | None = None) -> Statistic | None:
         """Look a statistic up, by default that of the final estimate; None where it does not exist."""
-        chosen = self._metrics.final(estimator) if estimate is None else estimate
+        chosen = self.final(estimator) if estimate is None else estimate
         return Lookup(self.statistics).find(estimator, name, chosen)
+
+    def final(self, estimator: str) -> Estimate:
+        """Final estimate of a run, or the last that two share: what is meant where none is named."""
+        return self._metrics.final(estimator)
 
     def keys(self, estimator: str, estimate: Estimate | None = None) -> list[str]:
         """Keys of the metrics that a run, or two, has of an estimate, by default of the final one."""

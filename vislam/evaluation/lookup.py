@@ -9,7 +9,7 @@ from vislam.core.run import Estimate
 
 Value = TypeVar("Value")
 Entry = tuple[str, str, Estimate | None]
-"""Run, or ``a|b`` for two, key, and estimate; None: of the run as a whole, as its time and its innovations."""
+"""Run, or ``a|b`` for two, key, and estimate; None: of the run as a whole, as its innovations are."""
 
 
 @dataclass(frozen=True)

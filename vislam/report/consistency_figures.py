@@ -118,7 +118,11 @@ def whiteness(shown: Shown) -> Figure | None:
         axes.bar(at, one.autocorrelation, width=width, color=shown.colour(name), label=literal(name))
         axes.axhspan(-one.band, one.band, color="0.8", lw=0, zorder=0)
     axes.axhline(0.0, color="k", lw=0.6)
-    axes.set(xlabel="lag [frames]", ylabel=f"autocorrelation of the {of_statistic('nis').short_title}", xlim=(0.4, LAGS + 0.6))
+    axes.set(
+        xlabel="lag [frames]",
+        ylabel="autocorrelation of the NIS",
+        xlim=(0.4, LAGS + 0.6),
+    )
     axes.legend(loc="best", fontsize=8)
     return figure
 

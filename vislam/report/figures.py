@@ -69,7 +69,9 @@ def height_attitude(shown: Shown) -> Figure:
     rows = figure.subplots(4, 1, sharex=True)
     reference = shown.reference
     for name, run in shown.runs.items():
-        _height_attitude(rows, shown.time(run), run.final.world_T_imu, colour=shown.colour(name), label=shown.label(name))
+        _height_attitude(
+            rows, shown.time(run), run.final.world_T_imu, colour=shown.colour(name), label=shown.label(name)
+        )
     if reference is not None and reference.pose is not None and np.allclose(reference.imu_T_point, np.eye(4)):
         stamp = shown.record.stamp[reference.frame] - shown.record.stamp[0]
         _height_attitude(rows, stamp, reference.pose, colour="black", label=reference.name)

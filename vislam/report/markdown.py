@@ -26,7 +26,9 @@ _KEYS = (
 
 def results_table(document: dict[str, Any]) -> str:
     """Markdown tables of a ``metrics.json``, with data, reference, machine and date."""
-    values = Lookup({(m["estimator"], m["key"], m["estimate"]): float(m["value"]) for m in document["metrics"]})
+    values = Lookup(
+        {(m["estimator"], m["key"], m["estimate"]): float(m["value"]) for m in document["metrics"]}
+    )
     lines = []
     for estimate in ESTIMATES:
         names = [name for name, run in document["runs"].items() if estimate in run["estimates"]]

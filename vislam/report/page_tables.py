@@ -39,9 +39,9 @@ def _metres(value: float | None, form: str) -> str:
 
 
 def pairs_table(evaluation: Evaluation) -> Table:
-    """A row for each two runs and each estimate that both have: how far apart, who is surer and predicts better.
+    """A row for each two runs and each estimate that both have: how far apart they are, who predicts better.
 
-    The maps are those of the final estimates; they stand in the row of the last estimate that both have.
+    The maps are those of the final estimates.
     """
     header = ["estimators", "estimate", "apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
     header += [

@@ -7,7 +7,7 @@ from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.metric import METRICS
 
-_LEFT_OUT = ("height_end", "nees_position_aligned")
+_LEFT_OUT = ("height_end",)
 """Metrics that have a name and no row."""
 SHORT = (
     "ate_rmse",

@@ -91,7 +91,9 @@ class _Block:
         if found.p_value > _SURE:
             told = f"{first} and {second} cannot be told apart (p {found.p_value:.2g})"
         else:
-            told = f"{first} is better than {second} on {100.0 * better:.0f} % of them (p {found.p_value:.1g})"
+            told = (
+                f"{first} is better than {second} on {100.0 * better:.0f} % of them (p {found.p_value:.1g})"
+            )
         return f"{spec.title}: {_listed(ranked, spec.digits, spec.unit)}; {told}."
 
     def consistency(self) -> str:

@@ -15,6 +15,7 @@ from vislam.base.settings import LONGEST_NAME
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import provenance
 from vislam.comparison.config import Config, parse
+from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.study.ablation import CASE, slug
 from vislam.study.answers import COVERAGE, NEES
 from vislam.study.cluster import LOST, Cluster, run_trials, watch_at
@@ -162,7 +163,9 @@ def _show(plan: Plan, trials: Trials, progress: Progress, *, title: str) -> None
         table = short_table(trials, plan.ablation)
         progress.rows(table.header, table.rows, title=title)
     else:
-        progress.rows(HEADER, rows_of(trials), title=title)
+        for estimate in trials.estimates:
+            rows = rows_of(trials.of(estimate))
+            progress.rows(HEADER, rows, title=f"{title}, {ESTIMATE_TITLES[estimate]}")
     if plan.study.ranking is not None:
         table = ranking_table(trials, plan.study.ranking)
         progress.rows(table.header, table.rows, title="ranks of the runs of a seed")

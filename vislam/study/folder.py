@@ -108,9 +108,9 @@ def _own(trial: Trial, result: Result) -> Iterator[Any]:
 
 
 def _wide(result: Result, keys: Sequence[str]) -> dict[str, float]:
-    """Metrics of a trial by ``<estimator>.<key>``."""
+    """Metrics of a trial by ``<estimator>.<key>``, with ``.<estimate>`` behind those of one."""
     return {
-        f"{metric['estimator']}.{metric['key']}": metric["value"]
+        ".".join(filter(None, (metric["estimator"], metric["key"], metric["estimate"]))): metric["value"]
         for metric in result["metrics"]
         if not keys or metric["key"] in keys
     }

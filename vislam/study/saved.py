@@ -8,6 +8,7 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
+from vislam.core.run import Estimate
 from vislam.study.points import Trial
 
 Result = dict[str, Any]
@@ -32,6 +33,7 @@ class _Run:
 class _Metric:
     estimator: StrictStr
     key: StrictStr
+    estimate: Estimate | None
     value: _Number | None
 
 
@@ -39,6 +41,7 @@ class _Metric:
 class _Statistic:
     estimator: StrictStr
     name: StrictStr
+    estimate: Estimate | None
     value: _Number | None
     freedom: _Number | None
     samples: _Count
@@ -67,7 +70,8 @@ class _Document:
         names = {found.estimator for found in self.metrics} | {found.estimator for found in self.statistics}
         if not all(scored.issuperset(name.split("|")) for name in names):
             raise ValueError("a run has numbers and is not complete")
-        if len({(metric.estimator, metric.key) for metric in self.metrics}) < len(self.metrics):
+        entries = {(metric.estimator, metric.key, metric.estimate) for metric in self.metrics}
+        if len(entries) < len(self.metrics):
             raise ValueError("a metric is there twice")
         if self.status != "done" and self.runs:
             raise ValueError(f"a trial that is {self.status} has no runs")

@@ -6,6 +6,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
+from vislam.core.run import Estimate
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -40,6 +41,8 @@ class Ranking:
     """The metric that ranks them."""
     errors: Annotated[tuple[str, ...], Field(min_length=1)]
     """What its order is held against."""
+    estimate: Estimate | None = None
+    """Runs by their ``filtered`` or by their ``smoothed`` poses; null: each by its final ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -105,12 +105,17 @@ def _measure(config: Config) -> dict[str, Any]:
             name: {"complete": name not in broken, "error": broken.get(name, "")} for name in results.runs
         },
         "metrics": [
-            {"estimator": metric.estimator, "key": metric.key, "value": _number(metric.value)}
+            {
+                "estimator": metric.estimator,
+                "key": metric.key,
+                "estimate": metric.estimate,
+                "value": _number(metric.value),
+            }
             for metric in evaluation.metrics
         ],
         "statistics": [
-            {"estimator": estimator, **_plain(statistic), "name": name}
-            for (estimator, name), statistic in evaluation.statistics.items()
+            {"estimator": estimator, **_plain(statistic), "name": name, "estimate": estimate}
+            for (estimator, name, estimate), statistic in evaluation.statistics.items()
         ],
     }
 

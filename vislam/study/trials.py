@@ -3,12 +3,15 @@
 import itertools
 from array import array
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.run import ESTIMATES, Estimate
+from vislam.evaluation.lookup import Entry, Lookup
 
 
 @dataclass(frozen=True)
@@ -26,10 +29,12 @@ class Trials:
         Whether its run finished.
     reason : tuple of str
         Why the trial or its runs failed ``(n,)``; empty if none did.
-    values : mapping of (estimator, metric key) to (n,)
-        NaN where missing.
+    values : mapping of (estimator, metric key, estimate) to (n,)
+        NaN where missing; the estimate is None for a number of the run as a whole.
     keys : collection of str or None
         Metrics that were kept; None: all.
+    estimate : "filtered", "smoothed" or None
+        The one whose metrics are looked at; None: the final one of each run.
     """
 
     seed: IntArray
@@ -37,8 +42,9 @@ class Trials:
     done: BoolArray
     complete: Mapping[str, BoolArray]
     reason: tuple[str, ...]
-    values: Mapping[tuple[str, str], Array]
+    values: Mapping[Entry, Array]
     keys: Collection[str] | None = None
+    estimate: Estimate | None = None
 
     def __len__(self) -> int:
         return len(self.seed)
@@ -73,6 +79,29 @@ class Trials:
             reader.read(record)
         return reader.trials()
 
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Estimates that some run has; filtered poses are what every run has."""
+        smoothed = any(self._values.final(name) == "smoothed" for name in self.complete)
+        return ESTIMATES if smoothed else ESTIMATES[:1]
+
+    def of(self, estimate: Estimate) -> "Trials":
+        """The same trials by one estimate, with the runs that have it and no other."""
+        own = {
+            name: flags
+            for name, flags in self.complete.items()
+            if estimate == "filtered" or self._values.final(name) == estimate
+        }
+        return replace(self, complete=own, estimate=estimate)
+
+    def final(self, name: str) -> Estimate:
+        """The estimate whose metrics are looked at of a run."""
+        return self._values.final(name) if self.estimate is None else self.estimate
+
+    @cached_property
+    def _values(self) -> Lookup[Array]:
+        return Lookup(self.values)
+
     def value(self, name: str, key: str) -> Array:
         """Metric of an estimator in each trial ``(n,)``, NaN where missing or where its run did not finish.
 
@@ -81,7 +110,8 @@ class Trials:
         """
         if self.keys is not None and key not in self.keys:
             raise KeyError(f"{key}: expected one of the metrics that were kept, {sorted(self.keys)}")
-        found = self.values.get((name, key), np.full(len(self), np.nan))
+        found = self._values.find(name, key, self.estimate)
+        found = np.full(len(self), np.nan) if found is None else found
         return np.where(self.complete[name], found, np.nan)
 
     def has(self, key: str) -> bool:
@@ -116,7 +146,7 @@ class _Reader:
         self._seed, self._done = array("q"), array("b")
         self._reason: list[str] = []
         self._complete: dict[str, array[int]] = {}
-        self._values: dict[tuple[str, str], array[float]] = {}
+        self._values: dict[Entry, array[float]] = {}
 
     def read(self, record: Mapping[str, Any]) -> None:
         """Add a row."""
@@ -136,7 +166,7 @@ class _Reader:
             _put(self._complete.setdefault(name, array("b")), row, run["complete"], missing=False)
         for metric in record.get("metrics", ()):
             if metric["value"] is not None and (self._keys is None or metric["key"] in self._keys):
-                cell = (metric["estimator"], metric["key"])
+                cell = (metric["estimator"], metric["key"], metric.get("estimate"))
                 _put(self._values.setdefault(cell, array("d")), row, metric["value"], missing=np.nan)
 
     def trials(self) -> Trials:

@@ -22,7 +22,10 @@ _MISSING = "failed"
 def short_table(trials: Trials, ablation: Ablation) -> Table:
     """Defects mended one after the other: the error of every estimator."""
     key = errors(trials)[0]
-    header = ["mended, one after the other", *(f"{run}, {metric_label(key)}" for run in trials.complete)]
+    header = [
+        "mended, one after the other",
+        *(f"{_name(trials, run)}, {metric_label(key)}" for run in trials.complete),
+    ]
     rows = [[label, *_errors(trials, key, case)] for label, case in _steps(ablation)]
     return Table(header, rows)
 
@@ -36,7 +39,9 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
     for label, case in _steps(ablation):
         for run in trials.complete:
             found = [_value(trials, run, name, case) for name in (key, *details)]
-            rows.append([label, run, _number(found[0], missing=_MISSING), *map(_number, found[1:])])
+            rows.append(
+                [label, _name(trials, run), _number(found[0], missing=_MISSING), *map(_number, found[1:])]
+            )
     return Table(header, rows)
 
 
@@ -45,9 +50,9 @@ def defects_table(trials: Trials, ablation: Ablation) -> Table:
     key = errors(trials)[0]
     title, unit = ERRORS[key].short_title, ERRORS[key].unit
     header = ["defect"]
-    header += [f"{run}: {title} if it alone is there [{unit}]" for run in trials.complete]
-    header += [f"{run}: cost [{unit}]" for run in trials.complete]
-    header += [f"{run}: {title} if it alone is mended [{unit}]" for run in trials.complete]
+    header += [f"{_name(trials, run)}: {title} if it alone is there [{unit}]" for run in trials.complete]
+    header += [f"{_name(trials, run)}: cost [{unit}]" for run in trials.complete]
+    header += [f"{_name(trials, run)}: {title} if it alone is mended [{unit}]" for run in trials.complete]
     rows = [["none", *_errors(trials, key, ablation.label(()))]]
     rows[0] += ["-"] * (2 * len(trials.complete))
     for alone, mended in zip(ablation.alone(), ablation.mended_alone(), strict=True):
@@ -109,13 +114,17 @@ def verdict(trials: Trials, ablation: Ablation) -> list[str]:
         ]
         worst = sorted((name for name in costs if costs[name] > 0.0), key=lambda name: -costs[name])[:3]
         listed = ", ".join(f"{name} (+{_number(costs[name])} {unit})" for name in worst)
-        sentence = (
-            f"{run}: {title} {_told(ends[0], unit)} with all defects, {_told(ends[1], unit)} with none."
-        )
+        begin, end = (_told(value, unit) for value in ends)
+        sentence = f"{_name(trials, run)}: {title} {begin} with all defects, {end} with none."
         sentence += f" On their own cost most: {listed}." if listed else ""
         sentence += f" It fails with {', '.join(failed)}." if failed else ""
         told.append(sentence)
     return told
+
+
+def _name(trials: Trials, run: str) -> str:
+    """A run with the estimate that is shown of it, where those of the runs differ."""
+    return run if len(trials.estimates) == 1 else f"{run} ({trials.final(run)})"
 
 
 def _steps(ablation: Ablation) -> list[tuple[str, str]]:

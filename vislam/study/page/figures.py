@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vislam.base.types import Array, IntArray
+from vislam.evaluation.metric import METRICS
 from vislam.report.figures import Drawing
 from vislam.report.shown import colours
 from vislam.study.answers import NEES, failure_rate, median, pooled_nees
@@ -22,9 +23,17 @@ _ROOM = 0.7
 
 
 def all_figures(trials: Trials) -> dict[str, Drawing]:
-    """Every figure that can be drawn of a study, by file name."""
-    drawn = {name: (title, caption, draw(trials)) for name, (draw, title, caption) in FIGURES.items()}
-    return {name: Drawing(title, caption, f) for name, (title, caption, f) in drawn.items() if f is not None}
+    """Every figure that can be drawn of a study, by file name: of the filtered and of the smoothed apart."""
+    found = {}
+    for name, (draw, title, caption) in FIGURES.items():
+        parts = {name: (title, trials)}
+        if name not in _OF_RUNS:
+            parts = {f"{name}_{one}": (f"{title}, {one}", trials.of(one)) for one in trials.estimates}
+        for file, (titled, part) in parts.items():
+            figure = draw(part)
+            if figure is not None:
+                found[file] = Drawing(titled, caption, figure)
+    return found
 
 
 def response(trials: Trials) -> Figure | None:
@@ -52,7 +61,7 @@ def _curves(axes: Axes, trials: Trials, path: str, key: str) -> None:
             continue
         axes.fill_between(place, low, high, color=colour, alpha=0.18, lw=0)
         axes.plot(place, value, "o-", ms=4, lw=1.2, color=colour, label=name)
-    label = "NEES per degree of freedom" if key == NEES else f"median {metric_label(key)}"
+    label = METRICS[NEES].title if key == NEES else f"median {metric_label(key)}"
     axes.set(xlabel=parameter_label(path), ylabel=label, yscale="log")
     if key == NEES:
         axes.axhline(1.0, color="k", lw=0.6)
@@ -83,7 +92,7 @@ def nees(trials: Trials) -> Figure | None:
         axes.plot(place + spread, known, ".", ms=3, color=colour, alpha=0.5, rasterized=True)
         _marked(axes, place, found.mean, colour=colour, name=name)
     axes.axhline(1.0, color="k", lw=0.6)
-    axes.set(ylabel="NEES per degree of freedom", yscale="log")
+    axes.set(ylabel=METRICS[NEES].title, yscale="log")
     _legend(figure, axes)
     return figure
 
@@ -126,7 +135,7 @@ def cost(trials: Trials) -> Figure | None:
             at = (time.value, error.value)
             axes.errorbar(*at, xerr=_reach(time), yerr=_reach(error), fmt="o", ms=6, lw=1.2, color=colour)
             axes.annotate(name, at, xytext=(8, 5), textcoords="offset points", fontsize=9)
-    axes.set(xlabel="median time of a step [ms]", ylabel=f"median {metric_label(key)}")
+    axes.set(xlabel=f"median {metric_label(TIME)}", ylabel=f"median {metric_label(key)}")
     axes.set(xscale="log", yscale="log")
     axes.margins(0.2)
     axes.grid(alpha=0.3, which="both", lw=0.4)
@@ -198,6 +207,8 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
 
 
+_OF_RUNS = ("failures",)
+"""Figures of runs as a whole."""
 FIGURES: dict[str, tuple[Callable[[Trials], Figure | None], str, str]] = {
     "response": (
         response,

@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from vislam.base.errors import first_line
 from vislam.base.files import write_text
+from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.report.figures import Drawing
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.table import Table
@@ -76,10 +77,10 @@ def write_study_page(
         notes=[*notes, *lacking],
         verdict=told,
         ablation=tables,
-        errors=errors_table(trials),
-        consistency=consistency_table(trials),
+        errors=_blocks(trials, errors_table),
+        consistency=_blocks(trials, consistency_table),
         ranking=Table([], []) if ranking is None else ranking_table(trials, ranking),
-        pairs=pairs_table(trials) if ablation is None else Table([], []),
+        pairs=_blocks(trials, pairs_table) if ablation is None else [],
         failures=failures_table(trials),
         failed=failed_table(trials),
         bound=f"{trial_bound():.2f}",
@@ -92,6 +93,12 @@ def write_study_page(
         page_js=part("page.js"),
     )
     write_text(path, text)
+
+
+def _blocks(trials: Trials, make: Callable[[Trials], Table]) -> list[tuple[str, Table]]:
+    """A table of each estimate that has rows, with its title: like is compared with like."""
+    tables = [(ESTIMATE_TITLES[estimate], make(trials.of(estimate))) for estimate in trials.estimates]
+    return [(title, table) for title, table in tables if table.rows]
 
 
 def _drawn(

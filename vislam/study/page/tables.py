@@ -6,8 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from vislam.base.types import IntArray
+from vislam.evaluation.metric import METRICS
 from vislam.report.table import Table
 from vislam.study.answers import (
+    NEES,
     failure_rate,
     mean,
     median,
@@ -55,7 +57,7 @@ def errors_table(trials: Trials) -> Table:
         told = [with_interval(first) if keys else "-", *map(with_interval, medians)]
         rows.append([name, *cells, str(first.count if first else 0), *told])
     header = ["trials with it", f"mean {metric_label(keys[0])}" if keys else "mean error"]
-    header += [*(f"median {metric_label(key)}" for key in keys), "median time of a step [ms]"]
+    header += [*(f"median {metric_label(key)}" for key in keys), f"median {metric_label(TIME)}"]
     return Table([*_header(trials), *header], rows)
 
 
@@ -70,7 +72,7 @@ def consistency_table(trials: Trials) -> Table:
             told += [percent(nees.beyond), percent(coverage)]
             others = [with_interval(CLAIMS[key](trials, name, key, rows=at)) for key in keys]
             rows.append([name, *cells, *told, *others])
-    header = ["trials", "missing", "NEES per degree of freedom", "trials beyond the bound"]
+    header = ["trials", "missing", METRICS[NEES].title, "trials beyond the bound"]
     header += ["errors within 3 sigma", *map(metric_label, keys)]
     return Table([*_header(trials), *header], rows)
 
@@ -96,6 +98,7 @@ def pairs_table(trials: Trials) -> Table:
 def ranking_table(trials: Trials, ranking: Ranking) -> Table:
     """How far each error ranks the runs of a seed as a metric does."""
     rows = []
+    trials = trials if ranking.estimate is None else trials.of(ranking.estimate)
     for key in ranking.errors:
         found = rank_correlation(trials, ranking.by, key)
         rows.append([metric_label(key), str(found.count if found else 0), with_interval(found)])

@@ -24,8 +24,15 @@ def verdict(trials: Trials) -> list[str]:
     """Sentences, the most important first."""
     if not trials.complete:
         return [_extent(trials), "No run was started, so there is nothing to tell."]
-    told = [_extent(trials), _failures(trials), _accuracy(trials)]
-    return [sentence for sentence in (*told, *(consistency(trials, n) for n in trials.complete)) if sentence]
+    blocks = [trials.of(estimate) for estimate in trials.estimates]
+    told = [_extent(trials), _failures(trials), *(_of(block, _accuracy(block)) for block in blocks)]
+    told += [_of(block, consistency(block, name)) for block in blocks for name in block.complete]
+    return [sentence for sentence in told if sentence]
+
+
+def _of(block: Trials, sentence: str) -> str:
+    """A sentence with the estimate that it is of; nothing if there is none."""
+    return f"{str(block.estimate).capitalize()}: {sentence}" if sentence else ""
 
 
 def _extent(trials: Trials) -> str:
@@ -55,7 +62,7 @@ def _accuracy(trials: Trials) -> str:
     known = {name: one for name, one in found.items() if one is not None}
     ranked = sorted(known, key=lambda name: known[name].value)
     listed = ", ".join(f"{name} {with_interval(known[name], unit)}" for name in ranked)
-    told = f"Median {title} over all trials that finished: {listed}"
+    told = f"median {title} over all trials that finished: {listed}"
     pair = paired(trials, ranked[0], ranked[1], key, rows=rows) if len(ranked) > 1 else None
     if pair is None:
         return f"{told}."
