@@ -95,7 +95,7 @@ def test_a_study_on_two_processes_runs_every_seed_at_every_point(capsys):
         ("1.0", "5"),
         ("1.0", "6"),
     ]
-    assert all(row["status"] == "done" and float(row["ekf.ate_rmse"]) > 0.0 for row in rows)
+    assert all(row["status"] == "done" and float(row["ekf.ate_rmse.filtered"]) > 0.0 for row in rows)
     document = json.loads(only("*/study.json").read_text(encoding="utf-8"))
     assert document["counts"] == {"done": 4, "failed": 0, "lost": 0}
     assert {"cpu", "code"} <= document["provenance"].keys()
@@ -116,7 +116,7 @@ def test_a_stopped_study_runs_only_what_is_missing(ran):
     ran.clear()
     assert study() == 0
     assert ran == [({"noise.pixel_sigma_px": 0.5}, 6), ({"noise.pixel_sigma_px": 1.0}, 5)]
-    errors = [[row["ekf.ate_rmse"] for row in rows] for rows in (whole, table())]
+    errors = [[row["ekf.ate_rmse.filtered"] for row in rows] for rows in (whole, table())]
     assert errors[0] == errors[1]
 
 
@@ -152,7 +152,7 @@ def test_the_time_left_is_known_of_trials_that_take_minutes():
 @pytest.mark.usefixtures("undrawn")
 def test_only_the_metrics_that_are_asked_for_are_columns(ran):
     assert study("--set", "study.metrics=[ate_rmse]", "--set", "study.seeds=1") == 0
-    assert list(table()[0])[-3:] == ["seconds", "dead_reckoning.ate_rmse", "ekf.ate_rmse"]
+    assert list(table()[0])[-3:] == ["seconds", "dead_reckoning.ate_rmse.filtered", "ekf.ate_rmse.filtered"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -167,7 +167,7 @@ def test_a_failing_trial_is_a_row(ran, monkeypatch, capsys):
     rows = table()
     assert [row["status"] for row in rows] == ["done", "failed", "done", "failed"]
     assert rows[1]["reason"].startswith("ConfigError: ")
-    assert rows[1]["ekf.ate_rmse"] == ""
+    assert rows[1]["ekf.ate_rmse.filtered"] == ""
     shown = [line.split("│") for line in capsys.readouterr().out.splitlines() if " ekf " in line]
     assert [[cell.strip() for cell in line[3:5]] for line in shown] == [["2", "1"], ["2", "1"]]
 
@@ -265,7 +265,9 @@ def test_files_that_are_of_other_trials_are_told_and_run_again(ran, capsys):
     assert study() == 0
     assert "3 files of trials are not taken" in capsys.readouterr().out
     assert len(ran) == 3
-    assert [row["ekf.ate_rmse"] for row in table()] == [row["ekf.ate_rmse"] for row in whole]
+    assert [row["ekf.ate_rmse.filtered"] for row in table()] == [
+        row["ekf.ate_rmse.filtered"] for row in whole
+    ]
 
 
 @pytest.mark.slow
@@ -307,7 +309,7 @@ def test_a_study_runs_again_if_a_file_that_it_reads_has_changed(ran):
         assert main(["--config", "rec.yaml", "--out", "out"]) == 0
         newest = max(Path("out").glob("*/trials.csv"), key=lambda path: path.stat().st_mtime_ns)
         with newest.open(encoding="utf-8", newline="") as file:
-            lengths += [float(row["dead_reckoning.path_length"]) for row in csv.DictReader(file)]
+            lengths += [float(row["dead_reckoning.path_length.filtered"]) for row in csv.DictReader(file)]
     assert len(ran) == 2
     assert lengths[1] == lengths[2] == pytest.approx(2.0 * lengths[0], rel=0.01)
 
@@ -541,7 +543,7 @@ def test_an_ablation_can_be_of_a_recording(ran, monkeypatch, capsys):
     assert study() == 0
     assert "[SIMULATED]" not in capsys.readouterr().out
     assert [row["case"] for row in table()] == ["all defects", "no defect"]
-    errors = [float(row["dead_reckoning.ate_planar_rmse"]) for row in table()]
+    errors = [float(row["dead_reckoning.ate_planar_rmse.filtered"]) for row in table()]
     assert errors[0] != errors[1]
     assert "RECORDED: every trial is of 03.npz; reference poses: planar" in only("*/study.html").read_text()
     document = json.loads(only("*/study.json").read_text(encoding="utf-8"))

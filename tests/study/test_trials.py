@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from tests.study.synthetic import lost, record
+from vislam.study.page.tables import pairs_table
+from vislam.study.page.verdict import verdict
 from vislam.study.trials import Trials
 
 
@@ -49,3 +51,41 @@ def test_what_a_broken_run_scored_does_not_count():
 def test_trials_that_sweep_different_parameters_are_refused():
     with pytest.raises(ValueError, match=r"\['sigma'\], got \['frames'\]"):
         Trials.of_records([record(0, {"sigma": 1.0}, {}), record(1, {"frames": 30}, {})])
+
+
+def both(seed, filtered, smoothed):
+    """A trial of a filter, and of a smoother with the errors of its two estimates."""
+    found = record(seed, {}, {"ekf": {}, "isam2": {"step_time_p50_ms": 7.0}})
+    entries = [("ekf", "filtered", 1.0), ("isam2", "filtered", filtered), ("isam2", "smoothed", smoothed)]
+    found["metrics"] += [
+        {"estimator": name, "key": "ate_rmse", "estimate": estimate, "value": value}
+        for name, estimate, value in entries
+    ]
+    return found
+
+
+def test_an_estimate_has_the_runs_that_have_it_and_no_other():
+    trials = Trials.of_records([both(seed, 3.0, 0.5) for seed in range(8)])
+    assert trials.estimates == ("filtered", "smoothed")
+    filtered, smoothed = (trials.of(estimate) for estimate in trials.estimates)
+    assert (list(filtered.complete), list(smoothed.complete)) == (["ekf", "isam2"], ["isam2"])
+    np.testing.assert_array_equal(filtered.value("isam2", "ate_rmse"), np.full(8, 3.0))
+    np.testing.assert_array_equal(smoothed.value("isam2", "ate_rmse"), np.full(8, 0.5))
+    # What is of the run as a whole is of both; without a word it is the final estimate.
+    assert filtered.value("isam2", "step_time_p50_ms")[0] == smoothed.value("isam2", "step_time_p50_ms")[0]
+    assert trials.value("isam2", "ate_rmse")[0] == 0.5
+    assert trials.value("ekf", "ate_rmse")[0] == 1.0
+
+
+def test_a_smoothed_estimate_is_not_held_against_a_filtered_one():
+    trials = Trials.of_records([both(seed, 3.0 + 0.1 * seed, 0.5) for seed in range(8)])
+    filtered, smoothed = (pairs_table(trials.of(estimate)) for estimate in trials.estimates)
+    (row,) = filtered.rows
+    assert row[0] == "ekf less isam2"
+    assert row[-2].startswith("100 %")
+    assert smoothed.rows == []
+    told = verdict(trials)
+    assert "Filtered: median ATE over all trials that finished: ekf 1 m (1 to 1), isam2" in " ".join(told)
+    (alone,) = [text for text in told if text.startswith("Smoothed: ")]
+    assert "isam2 0.5 m" in alone
+    assert "ekf" not in alone
