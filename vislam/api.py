@@ -18,7 +18,7 @@ from vislam.base.shipped import find_config
 
 if TYPE_CHECKING:
     from vislam.base.progress import Progress
-    from vislam.comparison.config import Config
+    from vislam.comparison.config import Config, HeldOutConfig
     from vislam.comparison.open import Dataset
     from vislam.comparison.results import Results
     from vislam.core.estimator import Estimator
@@ -221,7 +221,9 @@ def compare(
     if estimators is not None:
         chosen = {name: loaded.estimators.get(name, {}) for name in estimators}
         loaded = configuration.with_estimators(loaded, chosen)
-    dataset = _opened(loaded, config, data_dir=data_dir, allow_stand_in=allow_stand_in)
+    dataset = _opened(
+        loaded, config, data_dir=data_dir, allow_stand_in=allow_stand_in, held_out=loaded.held_out
+    )
     results = run_comparison(loaded, dataset, Silent() if progress is None else progress)
     return Outcome(results, evaluate(results))
 
@@ -327,7 +329,14 @@ def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
     return inspect_sequence(_opened(raw, data, data_dir=None, allow_stand_in=True).sequence, loaded)
 
 
-def _opened(loaded: "Config", given: Any, *, data_dir: Path | str | None, allow_stand_in: bool) -> "Dataset":
+def _opened(
+    loaded: "Config",
+    given: Any,
+    *,
+    data_dir: Path | str | None,
+    allow_stand_in: bool,
+    held_out: "HeldOutConfig | None" = None,
+) -> "Dataset":
     from vislam.comparison.open import open_dataset  # noqa: PLC0415
 
     path = find_config(given) if isinstance(given, str | Path) else None
@@ -337,4 +346,5 @@ def _opened(loaded: "Config", given: Any, *, data_dir: Path | str | None, allow_
         data_dir=None if data_dir is None else Path(data_dir),
         config_dir=None if path is None else path.parent,
         allow_stand_in=allow_stand_in,
+        held_out=held_out,
     )

@@ -200,3 +200,23 @@ def test_thinning_keeps_whole_tracks_one_in_so_many_after_the_other_steps():
     assert thin.counts["dropped_thinning"] > 3 * thin.observations
     same = apply(sequence, RepairConfig(thinning=Thinning(every=1)))
     assert np.array_equal(same.track, whole.track)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_held_out_tracks_have_no_say_in_the_repairs_of_the_others(share):
+    faults = FrontEndConfig(stale_every=7, slip_share=0.1)
+    data = DataConfig(simulation=SimulationConfig(frames=40, front_end=faults))
+    bare = replace(data, repair=RepairConfig(**dict.fromkeys(RepairConfig.__dataclass_fields__)))
+    raw = open_dataset(bare, seed=5).sequence
+    held = hold_out(raw.track, share=share, seed=2)
+    assert held.any() == (share > 0.0)
+    dataset = open_dataset(data, seed=5, held_out=HeldOutConfig(share=share, seed=2))
+    alone = apply(raw.select(~held), data.repair)
+    assert np.array_equal(dataset.sequence.row, alone.row)
+    assert np.array_equal(dataset.sequence.track, alone.track)
+    kept = dataset.held_out
+    assert held[kept.row].all()
+    assert not np.isin(kept.track, alone.track).any()
+    assert (np.bincount(kept.track)[kept.track] >= FEWEST_VIEWS).all()
+    # What is cut by the vote of all is not given in part: no piece of a held-out track is.
+    assert not np.isin(raw.track[alone.row], raw.track[held]).any()

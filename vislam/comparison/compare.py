@@ -13,7 +13,7 @@ import numpy as np
 from vislam.base.errors import ConfigError, DataError, DivergedError, Interrupted
 from vislam.base.files import check_writable, folder_name
 from vislam.base.progress import Progress
-from vislam.base.types import Array, BoolArray
+from vislam.base.types import Array
 from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
 from vislam.comparison.config import LIST_MAKER, Config
@@ -75,7 +75,12 @@ def compare(
     members(config)
     checklist = read_checklist(config, against=against, tolerance=tolerance, schema_version=SCHEMA_VERSION)
     dataset = open_dataset(
-        config.data, seed=config.seed, data_dir=data_dir, config_dir=config_dir, allow_stand_in=allow_stand_in
+        config.data,
+        seed=config.seed,
+        data_dir=data_dir,
+        config_dir=config_dir,
+        allow_stand_in=allow_stand_in,
+        held_out=config.held_out,
     )
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
     identity = identify(config, dataset, folders=search_path(data_dir, config_dir=config_dir))
@@ -175,11 +180,11 @@ def prepare(
     build_estimators(config, dataset, found)
     for note in dataset.notes:
         progress.note(note)
+    dataset, kept_back = _parted(config, dataset)
     sigma = pixel_sigma(config, dataset)
-    held = hold_out(dataset.sequence.track, share=config.held_out.share, seed=config.held_out.seed)
     runner = Runner(
-        dataset.sequence.select(~held),
-        sigma[~held],
+        dataset.sequence,
+        sigma,
         config.blas_threads,
         progress,
         NoKeeper() if keeper is None else keeper,
@@ -198,7 +203,8 @@ def prepare(
                 raise
             progress.note(f"{failure}; each run is given all observations and gates for itself")
     estimators = build_estimators(config, dataset, found, listed=frozen is not None)
-    return Prepared(config, _record(dataset, sigma, held=held, frozen=frozen), runner, estimators)
+    record = _record(dataset, Tracks.of(dataset.sequence, sigma), kept_back, frozen=frozen)
+    return Prepared(config, record, runner, estimators)
 
 
 def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Results:
@@ -238,24 +244,36 @@ def build_estimators(
     return built
 
 
-def _record(dataset: Dataset, sigma: Array, *, held: BoolArray, frozen: FrozenList | None) -> Record:
-    """What is to be kept of the drive; ``held (n,)`` are the observations that no estimator was given."""
-    whole = dataset.sequence
-    given, kept_back = (Tracks.of(whole.select(mask), sigma[mask]) for mask in (~held, held))
+def _parted(config: Config, dataset: Dataset) -> tuple[Dataset, Tracks]:
+    """Dataset of what every estimator is given, and the tracks that none is.
+
+    Of a dataset that was opened whole, they are chosen now.
+    """
+    given, kept_back = dataset.sequence, dataset.held_out
+    if kept_back is None:
+        held = hold_out(given.track, share=config.held_out.share, seed=config.held_out.seed)
+        given, kept_back = given.select(~held), given.select(held)
+    sigma = pixel_sigma(config, replace(dataset, sequence=kept_back))
+    return replace(dataset, sequence=given, held_out=kept_back), Tracks.of(kept_back, sigma)
+
+
+def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, frozen: FrozenList | None) -> Record:
+    """What is to be kept of the drive."""
+    sequence = dataset.sequence
     return Record(
-        name=whole.name,
-        stand_in=whole.stand_in,
-        digest=whole.digest,
+        name=sequence.name,
+        stand_in=sequence.stand_in,
+        digest=sequence.digest,
         notes=dataset.notes,
         counts={
-            **whole.counts,
+            **sequence.counts,
             "held_out_tracks": len(np.unique(kept_back.track)),
-            "held_out_observations": int(np.count_nonzero(held)),
+            "held_out_observations": len(kept_back.track),
         },
-        repairs=whole.repairs,
-        stamp=whole.stamp,
-        step_twist=whole.step_means()[0],
-        rig=whole.rig,
+        repairs=sequence.repairs,
+        stamp=sequence.stamp,
+        step_twist=sequence.step_means()[0],
+        rig=sequence.rig,
         given=given,
         held_out=kept_back,
         reference=dataset.reference,

@@ -8,7 +8,7 @@ import numpy as np
 
 from vislam import repair
 from vislam.base.errors import DataError
-from vislam.comparison.config import DataConfig, InertialConfig, PackagedConfig
+from vislam.comparison.config import DataConfig, HeldOutConfig, InertialConfig, PackagedConfig
 from vislam.comparison.plausibility import Implausible, implausible
 from vislam.comparison.simulated import simulated_drive
 from vislam.core.reference import Reference, truth_reference
@@ -18,6 +18,7 @@ from vislam.datasets.find import find_file, find_path, not_found, search_path
 from vislam.datasets.kitti00 import load_kitti00
 from vislam.datasets.oxts import with_oxts
 from vislam.datasets.trajectories import load_reference
+from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
 
 _log = logging.getLogger("vislam.comparison")
 
@@ -35,12 +36,16 @@ class Dataset:
         What a reader of the report must know: stand-in, made odometry, missing reference.
     implausible : tuple of Implausible
         What of the data as it was read is off by orders of magnitude.
+    held_out : Sequence or None
+        Tracks that are kept from every estimator, with ids that the sequence does not have, and without a say
+        in its repairs. None: none was chosen when it was opened.
     """
 
     sequence: Sequence
     reference: Reference | None
     notes: tuple[str, ...]
     implausible: tuple[Implausible, ...] = ()
+    held_out: Sequence | None = None
 
 
 def require_usable(dataset: Dataset) -> None:
@@ -63,8 +68,9 @@ def open_dataset(
     data_dir: Path | None = None,
     config_dir: Path | None = None,
     allow_stand_in: bool = True,
+    held_out: HeldOutConfig | None = None,
 ) -> Dataset:
-    """Read or simulate, then repair.
+    """Read or simulate, choose the tracks that are held out, then repair.
 
     Parameters
     ----------
@@ -77,6 +83,9 @@ def open_dataset(
         Folder of the file that the config was loaded from, the next to look for files.
     allow_stand_in : bool
         Whether a missing recording may be replaced by the config's simulation.
+    held_out : HeldOutConfig, optional
+        Tracks, as the front end has them, that are kept out of the sequence and of its repairs; None: the
+        sequence has all.
 
     Raises
     ------
@@ -84,34 +93,34 @@ def open_dataset(
         If the recording, or the path of a simulation, is missing and may not be replaced, or cannot be used.
     """
     if config.packaged is not None:
-        return _packaged(config, config.packaged, seed)
+        return _packaged(config, config.packaged, seed, held_out)
     folders = search_path(data_dir, config_dir=config_dir)
     path = None if config.file is None else find_file(config.file, folders)
     if path is not None:
-        return _recorded(config, path, folders)
+        return _recorded(config, path, folders, held_out)
     if config.file is not None and (not allow_stand_in or config.simulation is None):
         raise DataError(not_found(config.file, folders))
-    return _simulated(config, seed, folders)
+    return _simulated(config, seed, folders, held_out)
 
 
-def _recorded(config: DataConfig, path: Path, folders: list[Path]) -> Dataset:
+def _recorded(config: DataConfig, path: Path, folders: list[Path], held_out: HeldOutConfig | None) -> Dataset:
     sequence = load_course_npz(path)
     if config.inertial is not None:
         sequence = _with_inertial(sequence, config.inertial, [path.parent, *folders])
     wrong = _implausible(sequence, config)
-    sequence = _repaired(sequence, config)
+    sequence, kept_back = _parted(sequence, config, held_out)
     if config.reference is None:
         note = "no reference: nothing here says how far off an estimate is"
-        return Dataset(sequence, None, (note,), wrong)
+        return Dataset(sequence, None, (note,), wrong, kept_back)
     found = find_file(config.reference.file, [path.parent, *folders])
     if found is None:
         note = f"reference {config.reference.file} not found: runs are compared with each other only"
         _log.warning(note)
-        return Dataset(sequence, None, (note,), wrong)
+        return Dataset(sequence, None, (note,), wrong, kept_back)
     reference = load_reference(
         found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
-    return Dataset(sequence, reference, (), wrong)
+    return Dataset(sequence, reference, (), wrong, kept_back)
 
 
 def _implausible(sequence: Sequence, config: DataConfig) -> tuple[Implausible, ...]:
@@ -140,7 +149,9 @@ def _existing(name: str, folders: list[Path]) -> Path:
     return found
 
 
-def _packaged(config: DataConfig, packaged: PackagedConfig, seed: int) -> Dataset:
+def _packaged(
+    config: DataConfig, packaged: PackagedConfig, seed: int, held_out: HeldOutConfig | None
+) -> Dataset:
     raw, reference = load_kitti00(
         gyro_sigma=packaged.gyro_sigma, velocity_sigma=packaged.velocity_sigma, seed=seed
     )
@@ -149,20 +160,44 @@ def _packaged(config: DataConfig, packaged: PackagedConfig, seed: int) -> Datase
         f"twist is that of their visual odometry with noise added, {packaged.gyro_sigma:g} rad/s and "
         f"{packaged.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
     )
-    return Dataset(_repaired(raw, config), reference, (note,))
+    sequence, kept_back = _parted(raw, config, held_out)
+    return Dataset(sequence, reference, (note,), held_out=kept_back)
 
 
-def _simulated(config: DataConfig, seed: int, folders: list[Path]) -> Dataset:
+def _simulated(config: DataConfig, seed: int, folders: list[Path], held_out: HeldOutConfig | None) -> Dataset:
     assert config.simulation is not None
     wanted = config.file
     name = "simulation" if wanted is None else f"stand-in for {wanted}"
     raw, truth = simulated_drive(config.simulation, seed=seed, name=name, folders=folders)
-    sequence = _repaired(raw, config)
+    sequence, kept_back = _parted(raw, config, held_out)
     track, first = np.unique(sequence.track, return_index=True)
     points = truth.points_world[sequence.row[first]]
     notes = (f"SIMULATED: {name}, no recorded data was used",)
     _log.warning(notes[0])
-    return Dataset(sequence, truth_reference(truth.world_T_imu, track, points, bias=truth.bias), notes)
+    reference = truth_reference(truth.world_T_imu, track, points, bias=truth.bias)
+    return Dataset(sequence, reference, notes, held_out=kept_back)
+
+
+def _parted(
+    raw: Sequence, config: DataConfig, held_out: HeldOutConfig | None
+) -> tuple[Sequence, Sequence | None]:
+    """Repaired sequence of what is given, and of the tracks that are held out.
+
+    Repairs let tracks vote, on stale frames and on the rigid motion of a frame, so those that are held out
+    are chosen before: the given ones are repaired as if there were no others. The held-out ones are cut by the
+    vote of all, and none of their pieces is given, of which those too short to be scored are dropped.
+    """
+    if held_out is None:
+        return _repaired(raw, config), None
+    held = hold_out(raw.track, share=held_out.share, seed=held_out.seed)
+    given = _repaired(raw.select(~held), config)
+    if not held.any():
+        return given, raw.select(held)
+    whole = repair.apply(raw, config.repair)
+    long_enough = np.bincount(whole.track)[whole.track] >= FEWEST_VIEWS
+    kept_back = whole.select(held[whole.row] & long_enough)
+    first = int(given.track.max(initial=-1)) + 1
+    return given, replace(kept_back, track=kept_back.track + first)
 
 
 def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
