@@ -7,9 +7,11 @@ import pytest
 
 from tests.cli.test_compare import course_file
 from tests.conftest import recorded
-from vislam.comparison.open import Dataset
+from vislam.comparison.config import DataConfig, HeldOutConfig
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.sequence import Sequence
 from vislam.datasets.course_npz import load_course_npz
+from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
 from vislam.geometry.axes import axes_rotation
 from vislam.models import StereoRig
 from vislam.repair import RepairConfig, apply
@@ -204,8 +206,8 @@ def test_thinning_keeps_whole_tracks_one_in_so_many_after_the_other_steps():
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_held_out_tracks_have_no_say_in_the_repairs_of_the_others(share):
-    faults = FrontEndConfig(stale_every=7, slip_share=0.1)
-    data = DataConfig(simulation=SimulationConfig(frames=40, front_end=faults))
+    faults = SimulationConfig(frames=40, stale_probability=0.1, outlier_probability=0.02, moving_share=0.1)
+    data = DataConfig(simulation=faults)
     bare = replace(data, repair=RepairConfig(**dict.fromkeys(RepairConfig.__dataclass_fields__)))
     raw = open_dataset(bare, seed=5).sequence
     held = hold_out(raw.track, share=share, seed=2)

@@ -58,6 +58,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         data_dir=options.data_dir,
         config_dir=options.config.parent,
         allow_stand_in=not options.no_stand_in,
+        held_out=config.held_out,
     )
     if dataset.sequence.stand_in:
         terminal.note(dataset.notes[0])

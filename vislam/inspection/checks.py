@@ -11,6 +11,7 @@ from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 from vislam.core.rigid_fit import RigidFit, continuations, rigid_fits
 from vislam.core.sequence import Sequence
+from vislam.evaluation.held_out import hold_out
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.lever_arm import check_lever_arm
@@ -58,7 +59,9 @@ class _Book:
 
 
 def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
-    """Inspect a sequence as its file has it.
+    """Inspect a sequence as its file has it, but for the tracks that the config holds out.
+
+    What is proposed goes into the runs that are scored by them.
 
     Parameters
     ----------
@@ -69,6 +72,7 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
     """
     book = _Book()
     repair = config.data.repair
+    raw = raw.select(~hold_out(raw.track, share=config.held_out.share, seed=config.held_out.seed))
     if repair.baseline is not None:
         raw = repair.baseline.apply(raw)
     sequence = units.in_plausible_units(raw)
