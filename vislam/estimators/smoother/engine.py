@@ -8,8 +8,11 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.estimators.smoother.keys import thresholds
+from vislam.estimators.smoother.keys import A, thresholds
 from vislam.estimators.smoother.options import SmootherOptions
+
+_ANCHOR_SIGMA = np.repeat([0.01, 0.1], 3)
+"""How far an anchor may be from its pose [rad, m]."""
 
 
 class IndeterminateError(RuntimeError):
@@ -50,7 +53,7 @@ class Engine(Protocol):
         stamps : mapping of int to float
             Time of each variable that the frame has or sees [s].
         newest : sequence of int
-            Variables of the frame and those that the next frame will be tied to.
+            Variables of the frame, its pose first, and those that the next frame will be tied to.
         in_view : sequence of int
             Landmarks that it may see.
         resting : sequence of int
@@ -136,18 +139,28 @@ class WholeGraph(_Read):
     The landmarks in view are eliminated last and the newest frame's own variables before them: these are all
     that the next frame ties to, so that an update reaches no further back than what it tells of earlier
     frames. With the landmarks free, the ordering eliminates them among the poses that have seen them, and a
-    step costs the more the longer the tracks are, and the longer the drive. The frame goes before the
-    landmarks because Cholesky refuses later then: what is last carries all the drift.
+    step costs the more the longer the tracks are, and the longer the drive.
+
+    What is eliminated last carries all the drift: of its information, which is that of the last step, next to
+    nothing is left once all else is eliminated, and GTSAM's Cholesky refuses a pivot that has lost more than
+    seven digits. That is a matter of the order and not of the problem. So with Cholesky the very last is an
+    anchor, a pose that is tied to the newest one and to nothing else, and is taken out again by the next
+    update. It tells nothing of the rest. But the others then keep what they have within the tie, and the
+    anchor, whose own information is that of the tie alone, takes the loss from there to the drift: seven
+    digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
     """
 
     def __init__(self, options: SmootherOptions, factorization: str) -> None:
         self._every = options.relinearize_every
+        self._anchored = factorization == "cholesky"
+        # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
+        self._given = 0
+        self._anchor: tuple[int, int] | None = None
         parameters = _parameters(options, factorization)
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
         self._resting = gtsam.KeyList()
-        self._updates = 0
 
     def update(
         self,
@@ -164,18 +177,27 @@ class WholeGraph(_Read):
         del stamps
         for key in resting:
             self._resting.push_back(key)
-        parameters = gtsam.ISAM2UpdateParams()
-        parameters.removeFactorIndices = list(remove)
+        parameters, frame = gtsam.ISAM2UpdateParams(), gtsam.symbolIndex(newest[0])
+        remove, order = list(remove), [newest, in_view]
+        if self._anchored:
+            remove += [] if self._anchor is None else [self._anchor[0]]
+            graph, values = self._with_anchor(newest[0], graph, values)
+            order.append([A(frame)])
+        self._given += graph.size()
+        parameters.removeFactorIndices = remove
         last = gtsam.KeyGroupMap()
-        for group, keys in enumerate((newest, in_view), start=1):
+        # What has no group comes first, with group 0; at the first frame there is nothing of the kind, and as
+        # many groups as variables with another would be one too many.
+        for group, keys in enumerate(filter(len, order), start=min(frame, 1)):
             for key in keys:
                 last.insert2(key, group)
         parameters.constrainedKeys = last
-        self._updates += 1
-        if self._every and self._updates % self._every == 0:
+        # By the frame: an engine that was built anew goes on where the one before would have.
+        if self._every and (frame + 1) % self._every == 0:
             parameters.force_relinearize = True
             parameters.noRelinKeys = self._resting
-        return list(self._solve(graph, values, parameters).getNewFactorsIndices())
+        slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
+        return slots[1:] if self._anchored else slots
 
     def settle(self) -> None:
         """Relinearise everything once, unless nothing is to be, and solve it whole."""
@@ -185,12 +207,31 @@ class WholeGraph(_Read):
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
-        """All factors, by slot."""
-        return self._solver.getFactorsUnsafe()
+        """All factors but the anchor's, by slot."""
+        found = self._solver.getFactorsUnsafe()
+        if self._anchor is not None:
+            found.remove(self._anchor[0])
+        return found
 
     def estimate(self) -> gtsam.Values:
-        """Estimate of all variables."""
-        return _solved(self._solver.calculateBestEstimate)
+        """Estimate of all variables but the anchor."""
+        found = _solved(self._solver.calculateBestEstimate)
+        if self._anchor is not None:
+            found.erase(self._anchor[1])
+        return found
+
+    def _with_anchor(
+        self, pose: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """Put an anchor beside the newest pose, in front of a frame's factors."""
+        key = A(gtsam.symbolIndex(pose))
+        noise = gtsam.noiseModel.Diagonal.Sigmas(_ANCHOR_SIGMA)
+        all_factors, all_values = gtsam.NonlinearFactorGraph(), gtsam.Values(values)
+        all_factors.add(gtsam.BetweenFactorPose3(pose, key, gtsam.Pose3(), noise))
+        all_factors.push_back(graph)
+        all_values.insert(key, values.atPose3(pose))
+        self._anchor = self._given, key
+        return all_factors, all_values
 
     def _solve(self, *arguments: Any) -> gtsam.ISAM2Result:
         return _solved(self._solver.update, *arguments)

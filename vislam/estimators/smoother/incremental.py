@@ -73,6 +73,7 @@ class SmootherEstimator:
             solver.update(frame, graph, values, owners, now)
         except IndeterminateError as error:
             self._recovery.repeat(frame, error)
+        self._recovery.go_on(frame)
         seen = [track for track in now if track.id in solver.tracks.in_view]
         solver.find_astray(seen)
         every = self._options.pose_cov_every
@@ -115,6 +116,8 @@ class SmootherEstimator:
                 "views_dropped_waiting": solver.tracks.views_dropped,
                 **self._counts,
                 "rescues": self._recovery.rescues,
+                "steps_by_qr": self._recovery.by_qr,
+                "cholesky_refusals": self._recovery.refusals,
             },
             up=None if self._problem.climb is None else np.array([0.0, 0.0, 1.0]),
             fused=(

@@ -32,10 +32,10 @@ class SmootherOptions:
     """Relinearise a landmark that moved by more than this share of its depth."""
     wildfire_threshold: NonNegative = 1.0
     """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""
-    factorization: Literal["qr", "cholesky", "auto"] = "qr"
-    """How cliques are eliminated. GTSAM's Cholesky takes half the time and refuses a clique in which a pivot
-    is less than 1e-7 of its diagonal, as where the place is known 3,000 times worse than the last step;
-    ``auto`` begins with it and goes over to QR then."""
+    factorization: Literal["qr", "cholesky", "auto"] = "auto"
+    """How cliques are eliminated. GTSAM's Cholesky takes a half to an eighth of the time, and refuses a
+    clique in which a pivot is less than 1e-7 of its diagonal; ``auto`` solves a refused step with QR and then
+    goes back to it."""
     start_clearance: Positive = 5.0
     """A landmark starts when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3

@@ -51,18 +51,30 @@ class Recovery:
     Where Cholesky has refused, first with QR; then without the landmarks that lie where they cannot or that
     the error names, or that of the next try; then without any in view, and from the causal poses.
 
+    The next step is one with QR as well, and with it the solver goes back to Cholesky, or stays with QR if that
+    refuses. Either way costs a solution of the whole graph, as much as hundreds of steps, and what was refused
+    once is mostly refused again, as drift only grows. So QR stays for twice as many steps after each refusal:
+    a run of n steps has at most log2(n) + 1 of them, and a graph that Cholesky always refuses takes no longer
+    than with QR but for these.
+
     Attributes
     ----------
     rescues : int
         Steps that needed more than QR.
+    refusals : int
+        Steps, and returns from QR, that Cholesky refused.
+    by_qr : int
+        Steps solved with QR.
     events : list of str
         What was done.
     """
 
     def __init__(self, rig: StereoRig, options: SmootherOptions, solver: Solver) -> None:
         self._rig, self._options, self._solver = rig, options, solver
-        self.rescues = 0
+        self.rescues = self.refusals = self.by_qr = 0
         self.events: list[str] = []
+        # Steps with QR still to come before Cholesky is tried again.
+        self._wait = 0
 
     def repeat(self, frame: Frame, error: IndeterminateError) -> None:
         """Repeat the step to a frame.
@@ -91,14 +103,40 @@ class Recovery:
                 return
         raise DivergedError(f"{failure.error}, also without any landmark in view")
 
+    def go_on(self, frame: Frame) -> None:
+        """Note how the step to a frame was solved, and go back to Cholesky if it is time."""
+        solver = self._solver
+        if solver.factorization == "cholesky":
+            return
+        self.by_qr += 1
+        if self._options.factorization == "qr":
+            return
+        if self._wait > 0:
+            self._wait -= 1
+            return
+        left = solver.engine
+        solver.factorization = "cholesky"
+        try:
+            solver.rebuild(frame, left.factors(), left.linearization_point(), {})
+        except IndeterminateError:
+            solver.engine = left
+            self._refused()
+
     def _by_qr(self, frame: Frame, failure: _Failure) -> bool:
         """Go over to QR, where that has not been done and is allowed."""
         solver = self._solver
         if self._options.factorization != "auto" or solver.factorization != "cholesky":
             return False
-        solver.factorization = "qr"
-        self.events.append(f"frame {frame.k}: {failure.error} to Cholesky; QR from here on")
+        self._refused()
+        steps = f"QR for {self._wait + 1} steps"
+        self.events.append(f"frame {frame.k}: {failure.error} to Cholesky; {steps}")
         return self._goes(frame, failure, {})
+
+    def _refused(self) -> None:
+        """Take QR for the steps to come, for twice as many as after the last refusal."""
+        self._solver.factorization = "qr"
+        self._wait = 2**self.refusals
+        self.refusals += 1
 
     def _ways(self, failure: _Failure, gone: list[Track]) -> Iterator[_Way]:
         """Ways to go on, each asked for when the one before has failed; ``gone`` is what was set aside."""
