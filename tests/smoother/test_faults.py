@@ -62,6 +62,7 @@ def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, shar
         landmark_threshold=0.15,
         pose_threshold_rad=0.01,
         pose_threshold_m=0.1,
+        factorization="qr",
         wildfire_threshold=0.1,
     )
     check_usable(run, frames)

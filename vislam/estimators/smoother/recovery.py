@@ -128,9 +128,11 @@ class Recovery:
         if self._options.factorization != "auto" or solver.factorization != "cholesky":
             return False
         self._refused()
-        steps = f"QR for {self._wait + 1} steps"
-        self.events.append(f"frame {frame.k}: {failure.error} to Cholesky; {steps}")
-        return self._goes(frame, failure, {})
+        event = f"frame {frame.k}: {failure.error} to Cholesky; QR for {self._wait + 1} steps"
+        if not self._goes(frame, failure, {}):
+            return False
+        self.events.append(event)
+        return True
 
     def _refused(self) -> None:
         """Take QR for the steps to come, for twice as many as after the last refusal."""
