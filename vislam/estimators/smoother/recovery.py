@@ -51,8 +51,8 @@ class Recovery:
     Where Cholesky has refused, first with QR; then without the landmarks that lie where they cannot or that
     the error names, or that of the next try; then without any in view, and from the causal poses.
 
-    The next step is one with QR as well, and with it the solver goes back to Cholesky, or stays with QR if that
-    refuses. Either way costs a solution of the whole graph, as much as hundreds of steps, and what was refused
+    The next step is one with QR as well, and after it the solver goes back to Cholesky, or stays with QR if
+    that refuses. Either way costs a solution of the whole graph, as much as many steps, and what was refused
     once is mostly refused again, as drift only grows. So QR stays for twice as many steps after each refusal:
     a run of n steps has at most log2(n) + 1 of them, and a graph that Cholesky always refuses takes no longer
     than with QR but for these.
