@@ -26,6 +26,7 @@ from vislam.simulation import SimulationConfig
 
 BUILD = {
     "isam2": family.build_isam2,
+    "isam2_between": family.build_between,
     "isam2_norelin": family.build_norelin,
     "fixed_lag": family.build_fixed_lag,
     "batch": family.build_batch,

@@ -12,9 +12,11 @@ from vislam.estimators.smoother.options import SmootherOptions
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
+    # The textbook's pose graph: with the bias, which is of the order of the drift, taken for known.
+    "isam2_between": {"motion": "between"},
     "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
     # What is relinearised beside a marginal, which is not, makes the whole window jump, far from the start by
-    # metres. And what leaves the lag is read for the last time, so that it is solved to the end: a change that is
+    # metres. And what leaves the lag is read for the last time, so it is solved to the end: a change that is
     # left alone as small would stay.
     "fixed_lag": {"lag_s": 3.0, "relinearize_every": 0, "wildfire_threshold": 0.0},
     "batch": {"final": "batch", "final_iterations": 10},
@@ -31,10 +33,17 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoother
             f"estimators.{name}: GTSAM's stereo factor has no disparity offset as a variable; set "
             "noise.disparity_offset_sigma_px to 0, or compare filters only"
         )
+    if parsed.motion == "between" and (problem.clock_sigma > 0.0 or problem.noise.acceleration is not None):
+        asked = "clock_sigma to 0" if problem.clock_sigma > 0.0 else "acceleration_density to null"
+        raise ConfigError(
+            f"estimators.{name}: motion: between has no variables but poses, landmarks and heights; "
+            f"set noise.{asked}, or motion to bias"
+        )
     return SmootherEstimator(problem, parsed)
 
 
 build_isam2 = partial(_member, "isam2")
+build_between = partial(_member, "isam2_between")
 build_norelin = partial(_member, "isam2_norelin")
 build_fixed_lag = partial(_member, "fixed_lag")
 build_batch = partial(_member, "batch")

@@ -42,7 +42,7 @@ class SmootherEstimator:
         self.tell: Tell = _log.info
         self._problem, self._options = problem, options
         self.information = {"noise of the tracks": _noise(options), "kernel": _kernel(options)}
-        self._motion = motion.make(problem)
+        self._motion = motion.make(problem, between=options.motion == "between")
         self._stereo = StereoFactors(problem.rig, robust=options.robust, threshold=options.robust_threshold)
         self._solver = Solver(problem.rig, options, self._motion, self._stereo)
         self._recovery = Recovery(problem.rig, options, self._solver)

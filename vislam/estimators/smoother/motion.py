@@ -5,6 +5,7 @@ linearised, so that a step would take the longer the longer the drive already is
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import gtsam
@@ -12,11 +13,12 @@ import gtsam_unstable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, Problem
+from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.keys import CLOCK, B, H, V, W, X
 from vislam.geometry import se3
+from vislam.models import odometry
 
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""
@@ -55,6 +57,54 @@ class Motion(Protocol):
         ...
 
 
+class Height:
+    """The climb rate as a measurement of the height, where it is in use: ``H(k)``, whose z is the height.
+
+    The world's z axis is up then, and the first pose is free to be tilted.
+    """
+
+    def __init__(self, climb: ClimbNoise | None) -> None:
+        self._noise = climb
+        self._height = 0.0
+
+    def first_pose_sigma(self, sigma: Array) -> Array:
+        """Spread ``(6,)`` of the first pose: that of the prior, and of its tilt."""
+        sigma = np.array(sigma)
+        if self._noise is not None:
+            sigma[:2] = np.hypot(sigma[:2], self._noise.tilt_sigma)
+        return sigma
+
+    def factors(self, frame: Frame) -> list[gtsam.NonlinearFactor]:
+        """The height's prior or its rise over the step, and that the pose is there."""
+        if self._noise is None:
+            return []
+        k = frame.k
+        if k == 0:
+            rise: gtsam.NonlinearFactor = gtsam.PriorFactorPoint3(
+                H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4])
+            )
+        else:
+            known = np.isfinite(frame.odometry.climb_rate)
+            spread = np.sqrt(frame.dt) * self._noise.walk if known else frame.dt * UNKNOWN_CLIMB
+            by = np.array([0.0, 0.0, frame.dt * frame.odometry.climb_rate if known else 0.0])
+            rise = gtsam.BetweenFactorPoint3(H(k - 1), H(k), by, _sigmas([_UNUSED, _UNUSED, spread]))
+        return [rise, gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA]))]
+
+    def predict(self, frame: Frame) -> None:
+        """Integrate the climb rate."""
+        if np.isfinite(frame.odometry.climb_rate):
+            self._height += frame.dt * frame.odometry.climb_rate
+
+    def insert(self, values: gtsam.Values, k: int) -> None:
+        """Insert the height as predicted."""
+        if self._noise is not None:
+            values.insert(H(k), np.array([0.0, 0.0, self._height]))
+
+    def keys(self, k: int) -> list[int]:
+        """Key of the height, where it is in use."""
+        return [] if self._noise is None else [H(k)]
+
+
 class OdometryMotion:
     """The recorded twist less its bias, its clock, and the climb rate, in the project's tangent order.
 
@@ -67,8 +117,7 @@ class OdometryMotion:
 
     As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``.
 
-    With the climb rate in use, the world's z axis is up and the first pose is free to be tilted; else the
-    first pose is the identity.
+    The climb rate enters by :class:`Height`; without it the first pose is the identity within its prior.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -77,44 +126,30 @@ class OdometryMotion:
         """Whether the clock is a variable."""
         self._bias = np.array(problem.bias_mean)
         self._twist = np.zeros(6)
-        self._clock = self._height = 0.0
+        self._clock = 0.0
+        self._height = Height(problem.climb)
 
     def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
         """Priors, motion, walk of the bias, climb."""
         k, problem = frame.k, self._problem
         if before is None:
-            factors: list[gtsam.NonlinearFactor] = [
-                gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), _sigmas(self._first_pose_sigma()))
-            ]
-            if problem.climb is not None:
-                factors.append(gtsam.PriorFactorPoint3(H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4])))
-        else:
-            end = gtsam.StateData(X(k), V(k), frame.dt)
-            density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
-            factors = [
-                gtsam.WnoaMotionFactorPose3(
-                    gtsam.StateData(X(k - 1), W(k), 0.0), end, 3.0 * (density / frame.dt) ** 2
-                ),
-                *self._bias_factors(frame, before),
-            ]
-            if problem.climb is not None:
-                known = np.isfinite(frame.odometry.climb_rate)
-                spread = np.sqrt(frame.dt) * problem.climb.walk if known else frame.dt * UNKNOWN_CLIMB
-                rise = np.array([0.0, 0.0, frame.dt * frame.odometry.climb_rate if known else 0.0])
-                factors.append(
-                    gtsam.BetweenFactorPoint3(H(k - 1), H(k), rise, _sigmas([_UNUSED, _UNUSED, spread]))
-                )
-        if problem.climb is not None:
-            factors.append(gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA])))
-        return factors
+            return [_first_pose(problem, self._height), *self._height.factors(frame)]
+        end = gtsam.StateData(X(k), V(k), frame.dt)
+        density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
+        return [
+            gtsam.WnoaMotionFactorPose3(
+                gtsam.StateData(X(k - 1), W(k), 0.0), end, 3.0 * (density / frame.dt) ** 2
+            ),
+            *self._bias_factors(frame, before),
+            *self._height.factors(frame),
+        ]
 
     def predict(self, frame: Frame, pose: Array) -> Array:
         """Integrate the twist less its bias, and the climb rate."""
         if frame.k == 0:
             return pose
         self._twist = frame.odometry.twist + self._clock / frame.dt * frame.odometry.twist_change - self._bias
-        if np.isfinite(frame.odometry.climb_rate):
-            self._height += frame.dt * frame.odometry.climb_rate
+        self._height.predict(frame)
         return pose @ se3.exp(frame.dt * self._twist)
 
     def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
@@ -126,16 +161,11 @@ class OdometryMotion:
             values.insert(V(k), self._twist)
         if k == 1 and self._estimate_clock:
             values.insert(CLOCK, np.zeros(1))
-        if self._problem.climb is not None:
-            values.insert(H(k), np.array([0.0, 0.0, self._height]))
+        self._height.insert(values, k)
 
     def keys(self, k: int) -> list[int]:
         """Keys of a frame's own variables."""
-        return [
-            X(k),
-            *([W(k), V(k)] if k > 0 else []),
-            *([H(k)] if self._problem.climb is not None else []),
-        ]
+        return [X(k), *([W(k), V(k)] if k > 0 else []), *self._height.keys(k)]
 
     def tied(self, k: int) -> list[int]:
         """Keys that the factors of the next frame tie to."""
@@ -158,12 +188,6 @@ class OdometryMotion:
             return self._bias, np.array(self._problem.bias_sigma)
         walk = frame.dt * self._problem.noise.bias_walk**2
         return self._bias, np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
-
-    def _first_pose_sigma(self) -> Array:
-        sigma = np.array(self._problem.first_pose_sigma)
-        if self._problem.climb is not None:
-            sigma[:2] = np.hypot(sigma[:2], self._problem.climb.tilt_sigma)
-        return sigma
 
     def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
         """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
@@ -216,14 +240,77 @@ class SmoothMotion(OdometryMotion):
         return [*super().keys(k), B(k)]
 
 
-def make(problem: Problem) -> Motion:
-    """Model of motion that a problem asks for."""
+class BetweenMotion:
+    """The recorded twist less a bias that is known, as one ``BetweenFactorPose3`` a step, and the climb rate.
+
+    The step is :func:`vislam.models.odometry.integrate` with the prior's mean of the bias; there are no other
+    variables than poses and heights. What the bias may be off by is nowhere in it, so that an error of the
+    bias goes into the poses as if it had been seen, and with it no clock can be estimated.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
+        self._problem, self._noise = problem, replace(problem.noise, twist=density)
+        self._height = Height(problem.climb)
+
+    def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
+        """Prior of the first pose or motion, and climb."""
+        if before is None:
+            return [_first_pose(self._problem, self._height), *self._height.factors(frame)]
+        step = self._step(frame)
+        noise = gtsam.noiseModel.Gaussian.Covariance(step.cov)
+        motion = gtsam.BetweenFactorPose3(X(before.k), X(frame.k), gtsam.Pose3(step.prev_T_next), noise)
+        return [motion, *self._height.factors(frame)]
+
+    def predict(self, frame: Frame, pose: Array) -> Array:
+        """Integrate the twist less the bias, and the climb rate."""
+        if frame.k == 0:
+            return pose
+        self._height.predict(frame)
+        return pose @ self._step(frame).prev_T_next
+
+    def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
+        """Insert pose and height as predicted."""
+        values.insert(X(frame.k), gtsam.Pose3(pose))
+        self._height.insert(values, frame.k)
+
+    def keys(self, k: int) -> list[int]:
+        """Keys of a frame's own variables."""
+        return [X(k), *self._height.keys(k)]
+
+    def tied(self, k: int) -> list[int]:
+        """All of them."""
+        return self.keys(k)
+
+    def read(self, engine: Engine, frame: Frame) -> None:
+        """Read nothing: there is no variable but pose and height."""
+
+    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
+        """Bias that is taken for known; it is not estimated, and has no standard deviation."""
+        del engine, frame, with_sigma
+        return np.array(self._problem.bias_mean), None
+
+    def _step(self, frame: Frame) -> odometry.Step:
+        return odometry.integrate(
+            frame.odometry.twist, bias=self._problem.bias_mean, dt=frame.dt, noise=self._noise
+        )
+
+
+def make(problem: Problem, *, between: bool = False) -> Motion:
+    """Model of motion that a problem asks for; ``between`` is that without a bias."""
+    if between:
+        return BetweenMotion(problem)
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
 
 
 def newest(motion: Motion, k: int) -> list[int]:
     """Keys of a frame's own variables and of those that the factors of the next frame tie to."""
     return list(dict.fromkeys([*motion.keys(k), *motion.tied(k)]))
+
+
+def _first_pose(problem: Problem, height: Height) -> gtsam.NonlinearFactor:
+    sigma = height.first_pose_sigma(problem.first_pose_sigma)
+    return gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), _sigmas(sigma))
 
 
 def _sigmas(sigma: Any) -> gtsam.noiseModel.Base:

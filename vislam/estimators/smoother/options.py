@@ -18,6 +18,9 @@ class SmootherOptions:
     """Robust kernel of the stereo factors."""
     robust_threshold: Positive | None = None
     """Its threshold in standard deviations; null: where it is 95 % efficient under Gaussian noise."""
+    motion: Literal["bias", "between"] = "bias"
+    """How the recorded twist enters: with its bias as a variable that walks, or as one
+    ``BetweenFactorPose3`` a step with the bias taken for known, at its prior's mean."""
     lag_s: Positive | None = None
     """Marginalise what was last seen longer ago than this [s]; null: keep all in the graph."""
     relinearize_every: Annotated[int, Field(ge=0)] = 5
