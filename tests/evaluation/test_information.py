@@ -18,7 +18,7 @@ from vislam.core.trajectory import Poses
 from vislam.evaluation.information import shared_information, unequal_line
 
 N = 1000
-SAID = {"noise of the tracks": "independent", "kernel": "none"}
+SAID = {"noise of the tracks": "independent", "kernel": "none", "twist bias": "estimated"}
 
 
 def made(name, *, used=None, blind=False, **information):

@@ -61,6 +61,7 @@ class EkfEstimator:
         self.information = {
             "noise of the tracks": "independent" if self._independent else "drift and match error as states",
             "kernel": options.robust,
+            "twist bias": "estimated",
         }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []

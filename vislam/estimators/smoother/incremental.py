@@ -41,7 +41,11 @@ class SmootherEstimator:
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self.tell: Tell = _log.info
         self._problem, self._options = problem, options
-        self.information = {"noise of the tracks": _noise(options), "kernel": _kernel(options)}
+        self.information = {
+            "noise of the tracks": _noise(options),
+            "kernel": _kernel(options),
+            "twist bias": "estimated" if options.motion == "bias" else "taken for known",
+        }
         self._motion = motion.make(problem, between=options.motion == "between")
         self._stereo = StereoFactors(problem.rig, robust=options.robust, threshold=options.robust_threshold)
         self._solver = Solver(problem.rig, options, self._motion, self._stereo)
