@@ -133,7 +133,7 @@ def test_the_table_has_a_row_for_each_estimator(tiny, text):
 
 @pytest.mark.slow
 def test_names_and_notes_are_text_whatever_they_hold(tiny, tmp_path):
-    runs = {EVIL: replace(tiny.runs["ekf"], name=EVIL, error=EVIL, events=(EVIL,), counts={EVIL: 1})}
+    runs = {EVIL: altered(tiny.runs["ekf"], name=EVIL, error=EVIL, events=(EVIL,), counts={EVIL: 1})}
     reference = replace(tiny.record.reference, name=EVIL, limits=EVIL)
     record = replace(tiny.record, reference=reference)
     evaluation = evaluate(runs, record)
