@@ -87,6 +87,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     for name in ("error", "bands", "nees", "coverage", "segments", "cost"):
         drawn += [f"{name}_filtered", f"{name}_smoothed"]
     wanted |= {f"figures/{name}.png" for name in drawn}
+    wanted.add("list/ekf_invariant.npz")
     for estimator in ("dead_reckoning", "ekf", "isam2"):
         wanted |= {f"{estimator}.tum", f"{estimator}.ply", f"runs/{estimator}.npz"}
         wanted |= {f"{estimator}_kitti.txt", f"{estimator}_trajectory.npz"}

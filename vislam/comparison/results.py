@@ -237,11 +237,11 @@ def announce(results: Results, published: Published, progress: Progress) -> None
     """Print the closing table, where to read on, and what must not be overlooked."""
     for estimate, table in comparison_tables(results.runs, published.evaluation, keys=SHORT).items():
         progress.rows(table.header, table.rows, title=f"{results.title}, {ESTIMATE_TITLES[estimate]}")
-    progress.note(f"{published.path.stem}: {published.path}")
     if told := results.frozen_told():
         progress.note(told)
     if unequal := unequal_line(results.shared_information()):
         progress.note(unequal)
+    progress.note(f"{published.path.stem}: {published.path}")
     for name, run in results.runs.items():
         if not run.complete:
             progress.note(f"{name} is incomplete: {run.log.error}")
