@@ -68,7 +68,11 @@ class FrozenList:
             f"which {_listed(self.by)} fused and whose tracks were seen again; on it, no estimator gates for "
             "itself."
         ]
-        left = [f"{name} {count}" for name, count in self.not_fused(runs).items() if count and not runs[name].blind]
+        left = [
+            f"{name} {count}"
+            for name, count in self.not_fused(runs).items()
+            if count and not runs[name].blind
+        ]
         said.append(
             f"Not fused of the list: {_listed(left)}." if left else "All of it was fused by every run."
         )
