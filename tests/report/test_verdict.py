@@ -147,3 +147,25 @@ def test_a_run_without_smoothed_poses_is_in_one_block(rng):
     assert [row[:2] for row in pairs_table(evaluation).rows] == [["plain and late", "filtered"]]
     alone = comparison_tables({"plain": runs["plain"]}, evaluation)
     assert list(alone) == ["filtered"]
+
+
+def test_who_is_worse_than_without_the_camera_and_sure_of_it_comes_first(rng):
+    alone = scattered("alone", rng, sigma=4.0 * SIGMA, claimed=4.0 * SIGMA, blind=True)
+    led = scattered("led", rng, sigma=8.0 * SIGMA)
+    good = scattered("good", rng)
+    first, *rest = said([alone, led, good], record(rng))
+    assert first.startswith("Filtered: do not trust led: farther from truth than alone, which uses no camera")
+    assert "and overconfident (led " in first
+    assert rest[0].startswith("Filtered: closest to truth is good")
+    # One that says how far off it may be is ranked, not warned of.
+    honest = scattered("led", rng, sigma=8.0 * SIGMA, claimed=8.0 * SIGMA)
+    for runs in ([alone, honest, good], [alone, good], [led, good]):
+        assert said(runs, record(rng))[0].startswith("Filtered: closest to truth is good")
+
+
+def test_unequal_information_is_said_before_who_is_closest(rng):
+    named = {run.name: run for run in (scattered("one", rng), scattered("other", rng))}
+    drive = record(rng)
+    found = verdict(named, evaluate(named, drive), drive.reference, unequal="Information was not equal: x.")
+    assert found[0] == "Information was not equal: x."
+    assert found[1].startswith("Filtered: closest to truth is ")

@@ -179,6 +179,7 @@ def _write_report(
         checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=configuration.dump(results.config),
+        unequal=unequal_line(results.shared_information()),
     )
 
 

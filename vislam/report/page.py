@@ -49,6 +49,7 @@ def write_page(
     provenance: str,
     config: str,
     checks: Sequence[tuple[bool | None, str]] = (),
+    unequal: str = "",
 ) -> None:
     """Write the page, whole or not at all; it needs no other file and no network.
 
@@ -58,6 +59,8 @@ def write_page(
         What :func:`vislam.report.scene.scene_data` gives; empty for a page without a scene.
     checks : sequence of (holds, text)
         Shown first; None where it cannot be told whether a check holds.
+    unequal : str
+        In what the runs' information differed; empty if in nothing.
     """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
@@ -66,7 +69,7 @@ def write_page(
         notes=notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=checks,
-        verdict=verdict(runs, evaluation, reference),
+        verdict=verdict(runs, evaluation, reference, unequal=unequal),
         reference=reference,
         tables=[
             (ESTIMATE_TITLES[estimate], _turned(table))

@@ -14,16 +14,38 @@ from vislam.evaluation.statistics import Statistic
 
 _SURE = 0.05
 """p-value under which a difference is more than luck."""
+_WORSE = 1.1
+"""Times the error of a run without the camera from which one with it is called misled."""
 _NEES = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 _MAIN: dict[Estimate, tuple[str, ...]] = {"filtered": (*_NEES, "nis"), "smoothed": (*_NEES, "fit")}
 """Statistics that speak for the consistency of an estimate, the first that a run has."""
 
 
-def verdict(runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None) -> list[str]:
-    """Sentences, the most important first; each rests on numbers that are in ``metrics.json``."""
+def verdict(
+    runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None, *, unequal: str = ""
+) -> list[str]:
+    """Sentences, the most important first; each rests on numbers that are in ``metrics.json``.
+
+    Parameters
+    ----------
+    runs : mapping of str to Run
+    evaluation : Evaluation
+    reference : Reference or None
+    unequal : str
+        In what the runs' information differed; empty if in nothing.
+    """
     blocks = [_Block(runs, evaluation, estimate) for estimate in ESTIMATES]
     blocks = [block for block in blocks if block.runs]
-    told = ["There is no reference: what follows is from the data alone."] if reference is None else []
+    told = []
+    if reference is None:
+        told.append("There is no reference: what follows is from the data alone.")
+    else:
+        alone = _without_camera(runs, evaluation, headline(reference))
+        if alone is not None:
+            for block in blocks:
+                told += block.told(block.misled(reference, *alone))
+    if unequal:
+        told.append(unequal)
     for block in blocks:
         told += block.told(block.accuracy(reference), block.not_ranked())
     for part in (_Block.prediction, _Block.consistency):
@@ -60,6 +82,25 @@ class _Block:
         if len(ranked) == 1:
             return f"{listed} from {reference.name} ({spec.title}), with none to compare it with."
         return f"closest to {reference.name} is {ranked[0][1]} ({spec.title}: {listed})."
+
+    def misled(self, reference: Reference, without: str, least: float) -> str:
+        """Name those that are farther off than a run without the camera, ``least``, and sure of themselves."""
+        spec = METRICS[headline(reference)]
+        seeing = [name for name, run in self.runs.items() if run.complete and not run.blind]
+        values = {name: self._evaluation.value(name, spec.key, self._estimate) for name in seeing}
+        found = sorted(
+            (value, name)
+            for name, value in values.items()
+            if value is not None and value > _WORSE * least and self._overconfident(name)
+        )
+        if not found:
+            return ""
+        alone = _listed([(least, without)], spec.digits, spec.unit)
+        return (
+            f"do not trust {' and '.join(name for _, name in found)}: farther from {reference.name} than "
+            f"{without}, which uses no camera, and overconfident "
+            f"({_listed(found, spec.digits, spec.unit)}; {alone})."
+        )
 
     def not_ranked(self) -> str:
         """Name the runs that are no answer to the data, and why."""
@@ -111,6 +152,11 @@ class _Block:
             told.append(f"{name} is {word} ({title} {statistic.value:.3g}, {low:.2g} to {high:.2g} expected)")
         return f"{'; '.join(told)}." if told else ""
 
+    def _overconfident(self, name: str) -> bool:
+        """Whether errors of a run are larger than it says."""
+        statistic = self._main(name)
+        return statistic is not None and statistic.value > statistic.interval(0.95)[1]
+
     def _main(self, name: str) -> Statistic | None:
         found = (self._evaluation.statistic(name, key, self._estimate) for key in _MAIN[self._estimate])
         return next((statistic for statistic in found if statistic is not None), None)
@@ -142,6 +188,17 @@ class _Block:
         spec = METRICS["total_time_s"]
         ranked = self._ranked(spec.key)
         return f"{spec.title} {_listed(ranked, spec.digits, spec.unit)}." if ranked else ""
+
+
+def _without_camera(runs: Mapping[str, Run], evaluation: Evaluation, key: str) -> tuple[str, float] | None:
+    """The best run that uses no camera, and how far off it is; None if there is none."""
+    values = {
+        name: evaluation.value(name, key, "filtered")
+        for name, run in runs.items()
+        if run.blind and run.complete
+    }
+    known = [(value, name) for name, value in values.items() if value is not None]
+    return min(known)[::-1] if known else None
 
 
 def _listed(ranked: list[tuple[float, str]], digits: int, unit: str) -> str:
