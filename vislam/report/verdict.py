@@ -84,7 +84,7 @@ class _Block:
         return f"closest to {reference.name} is {ranked[0][1]} ({spec.title}: {listed})."
 
     def misled(self, reference: Reference, without: str, least: float) -> str:
-        """Name those that are farther off than a run without the camera, ``least``, and sure of themselves."""
+        """Name those that are farther off than a run without the camera is, and sure of themselves."""
         spec = METRICS[headline(reference)]
         seeing = [name for name, run in self.runs.items() if run.complete and not run.blind]
         values = {name: self._evaluation.value(name, spec.key, self._estimate) for name in seeing}
