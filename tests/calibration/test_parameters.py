@@ -8,7 +8,7 @@ import pytest
 from vislam.base.errors import DataError
 from vislam.calibration.likelihood import Evaluator, first_frames
 from vislam.calibration.parameters import MATCH, parameters
-from vislam.comparison.config import Config, DataConfig, NoiseConfig
+from vislam.comparison.config import ClimbConfig, Config, DataConfig, NoiseConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.sequence import Sequence
 from vislam.repair import RepairConfig
@@ -187,3 +187,50 @@ def test_more_frames_than_there_are_is_all_of_them(dataset):
 def test_fewer_than_two_frames_are_no_drive(dataset, frames):
     with pytest.raises(DataError, match="at least 2 are needed"):
         first_frames(dataset.sequence, frames)
+
+
+MOVING = replace(
+    PLAIN,
+    noise=replace(NOISE, acceleration_density=(0.05, 0.15, 0.1, 1.0, 0.2, 0.4), climb=ClimbConfig(walk=0.1)),
+)
+OF_MOTION = {
+    "noise.acceleration_density (roll and pitch)": range(2),
+    "noise.acceleration_density (yaw)": range(2, 3),
+    "noise.acceleration_density (forward)": range(3, 4),
+    "noise.acceleration_density (lateral and vertical)": range(4, 6),
+}
+
+
+def test_levels_of_the_motion_are_searched_where_the_config_uses_them():
+    names = [item.name for item in parameters()]
+    assert [item.name for item in parameters(PLAIN)] == names
+    assert [item.name for item in parameters(MOVING)] == [*names, *OF_MOTION, "noise.climb.walk"]
+
+
+def test_a_level_of_the_motion_changes_its_own_components_and_keeps_their_ratio():
+    before = np.array(MOVING.noise.acceleration_density)
+    for item in parameters(MOVING):
+        changed = item.write(MOVING, 0.3)
+        assert np.isclose(item.read(changed), 0.3)
+        after = np.array(changed.noise.acceleration_density)
+        own = list(OF_MOTION.get(item.name, ()))
+        if own:
+            assert np.allclose(after[own] / before[own], after[own][0] / before[own][0])
+            assert np.isclose(np.mean(after[own]), 0.3)
+        assert np.array_equal(np.delete(after, own), np.delete(before, own))
+        assert (changed.noise.climb.walk == 0.1) == (item.name != "noise.climb.walk")
+
+
+def test_what_is_measured_of_the_motion_is_in_the_likelihood():
+    """Too smooth a body is told by its inertial samples: likelihood falls away on both sides of a level."""
+    smooth = replace(MOVING, noise=replace(MOVING.noise, climb=None))
+    drive = open_dataset(replace(SET.data, simulation=near(), repair=RepairConfig(consensus=None)), seed=5)
+    usable = np.ones(drive.sequence.observations, bool)
+    forward = next(item for item in parameters(smooth) if item.name.endswith("(forward)"))
+    levels = [1e-2, 0.5, 1e3]
+    found = Evaluator(drive, smooth).log_likelihoods(
+        [forward.write(smooth, level) for level in levels], usable=usable
+    )
+    low, middle, high = (float(part.sum()) for part in found)
+    assert middle > low
+    assert middle > high

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -80,8 +81,10 @@ def parameters(
         ]
     if config is not None and config.noise.acceleration_density is not None:
         found += [
-            _density("turning", slice(0, 3), unit="rad/s/sqrt(s)", lowest=1e-3, of="acceleration_density"),
-            _density("moving", slice(3, 6), unit="m/s/sqrt(s)", lowest=1e-2, of="acceleration_density"),
+            _acceleration("roll and pitch", slice(0, 2), unit="rad/s/sqrt(s)", lowest=1e-3),
+            _acceleration("yaw", slice(2, 3), unit="rad/s/sqrt(s)", lowest=1e-3),
+            _acceleration("forward", _FORWARD, unit="m/s/sqrt(s)", lowest=1e-2),
+            _acceleration("lateral and vertical", slice(4, 6), unit="m/s/sqrt(s)", lowest=1e-2),
         ]
     if config is not None and config.noise.climb is not None:
         found.append(_CLIMB_WALK)
@@ -133,6 +136,9 @@ def _of_step(
         return replace(config, data=replace(config.data, repair=replace(config.data.repair, **changed)))
 
     return Parameter(f"data.repair.{name}.{option}", unit, read, write, False, step)
+
+
+_acceleration = partial(_density, of="acceleration_density")
 
 
 def _climb_walk() -> Parameter:
