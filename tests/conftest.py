@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,11 @@ def short_config() -> Config:
 @pytest.fixture(scope="session")
 def short(short_config: Config) -> Dataset:
     return open_dataset(short_config.data, seed=3)
+
+
+def plain_motion(config: Config) -> Config:
+    """The same of whose motion nothing but the twist is known, as the references of the tests take it."""
+    return replace(config, noise=replace(config.noise, climb=None, acceleration_density=None))
 
 
 def recorded(name: str) -> Path:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import from_first, recorded
+from tests.conftest import from_first, plain_motion, recorded
 from tests.smoother.drives import drive
 from vislam.base.errors import ConfigError
 from vislam.comparison import config as configuration
@@ -66,7 +66,7 @@ def test_mended_it_equals_the_filter(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ds3", "kitti07"])
 def test_mended_it_equals_the_filter_on_recorded_data(monkeypatch, name: str):
-    config = configuration.load(CONFIGS / f"{name}.yaml")
+    config = plain_motion(configuration.load(CONFIGS / f"{name}.yaml"))
     recorded(config.data.file)
     monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-9)
     dataset = open_dataset(config.data, seed=0, allow_stand_in=False)

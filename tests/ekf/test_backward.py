@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import recorded
+from tests.conftest import plain_motion, recorded
 from vislam.base.types import Array
 from vislam.calibration.likelihood import first_frames
 from vislam.comparison.compare import make_problem, pixel_sigma
@@ -133,7 +133,7 @@ def test_a_wrong_way_back_is_caught(short: Dataset, short_config: Config, monkey
 @pytest.mark.parametrize("options", FORMS)
 def test_it_is_exact_on_the_recording(options):
     """The first 100 frames of 03.npz, one track in eight, so that the dense filter can keep them all."""
-    config = load(CONFIGS / "ds3.yaml")
+    config = plain_motion(load(CONFIGS / "ds3.yaml"))
     dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_stand_in=False)
     sequence = first_frames(dataset.sequence, 100)
     dataset = replace(dataset, sequence=sequence.select(sequence.track % 8 == 0))
