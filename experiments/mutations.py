@@ -231,8 +231,8 @@ MUTATIONS = (
     Mutation(
         "climb's walk without the root",
         "vislam/estimators/smoother/motion.py",
-        "np.sqrt(frame.dt) * problem.climb.walk",
-        "frame.dt * problem.climb.walk",
+        "np.sqrt(frame.dt) * self._noise.walk",
+        "frame.dt * self._noise.walk",
         SMOOTHER,
     ),
 )
