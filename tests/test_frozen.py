@@ -17,7 +17,7 @@ from vislam.comparison.config import Config, HeldOutConfig
 from vislam.comparison.members import members
 from vislam.comparison.open import Dataset
 from vislam.core import estimator
-from vislam.core.observation_set import FrozenList, seen_again
+from vislam.core.observation_set import FrozenList
 from vislam.estimators.ekf import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.loop import run
@@ -80,7 +80,7 @@ def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config:
     )
     assert alone.gated.any()
     # What is left of a track that is seen once says nothing of the motion.
-    listed = alone.used & seen_again(short.sequence, alone.used)
+    listed = alone.used & short.sequence.seen_again(alone.used)
     assert np.array_equal(outcome.results.runs["whole"].used, listed)
     assert np.array_equal(outcome.results.record.frozen.kept, listed)
     assert outcome.results.record.frozen.not_fused(outcome.results.runs) == {"whole": 0, "picky": 0, "ekf": 0}

@@ -12,7 +12,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.comparison.keeping import Keeper
 from vislam.comparison.members import Unbuilt
 from vislam.core.estimator import Estimator
-from vislam.core.observation_set import FrozenList, seen_again
+from vislam.core.observation_set import FrozenList
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.estimators import loop
@@ -75,7 +75,7 @@ class Runner:
             kept &= found.used
             if not kept.any():
                 raise ConfigError(f"frozen_by: {name} has fused no observation that those before it fused")
-        kept &= seen_again(self.sequence, kept)
+        kept &= self.sequence.seen_again(kept)
         if not kept.any():
             raise ConfigError("frozen_by: no track is left that was seen more than once")
         return FrozenList.of(self.sequence, kept, by=by, exempt=exempt)

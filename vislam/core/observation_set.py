@@ -82,11 +82,5 @@ class FrozenList:
         return " ".join(said)
 
 
-def seen_again(sequence: data.Sequence, kept: BoolArray) -> BoolArray:
-    """Mask ``(n,)`` of the observations whose track has more than one among those of the mask ``(n,)``."""
-    _, track = np.unique(sequence.track, return_inverse=True)
-    return np.asarray(np.bincount(track, weights=kept)[track] > 1.0)
-
-
 def _listed(names: Sequence[str]) -> str:
     return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)

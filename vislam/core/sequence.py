@@ -172,6 +172,11 @@ class Sequence:
         frame = self.frame_of
         return frame - frame[self.first_rows()]
 
+    def seen_again(self, among: BoolArray | None = None) -> BoolArray:
+        """Mask ``(n,)`` of the observations whose track has more than one, among those of a mask ``(n,)``."""
+        _, track = np.unique(self.track, return_inverse=True)
+        return np.asarray(np.bincount(track, weights=among)[track] > 1)
+
     def first_rows(self) -> IntArray:
         """Row of the first observation of each observation's track, ``(n,)``."""
         _, first, track = np.unique(self.track, return_index=True, return_inverse=True)

@@ -69,8 +69,7 @@ class SingleSightings:
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Drop them."""
-        length = np.bincount(sequence.track)
-        keep = length[sequence.track] > 1
+        keep = sequence.seen_again()
         return sequence.select(keep, dropped_single_sightings=int(np.sum(~keep)))
 
 
