@@ -177,7 +177,7 @@ def prepare(
     """
     require_usable(dataset)
     found = members(config)
-    build_estimators(config, dataset, found)
+    estimators = build_estimators(config, dataset, found, listed=bool(config.frozen_by))
     for note in dataset.notes:
         progress.note(note)
     dataset, kept_back = _parted(config, dataset)
@@ -202,7 +202,7 @@ def prepare(
             if config.frozen_by != (LIST_MAKER,):
                 raise
             progress.note(f"{failure}; each run is given all observations and gates for itself")
-    estimators = build_estimators(config, dataset, found, listed=frozen is not None)
+            estimators = build_estimators(config, dataset, found)
     record = _record(dataset, Tracks.of(dataset.sequence, sigma), kept_back, frozen=frozen)
     return Prepared(config, record, runner, estimators)
 

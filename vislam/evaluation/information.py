@@ -69,14 +69,14 @@ def _observations(one: Run, other: Run, frozen: FrozenList | None) -> Iterator[s
         if differing > LARGEST_SHARE * max(int(np.count_nonzero(one.used | other.used)), 1):
             yield f"no common list, {differing} observations were fused by one of them only"
         return
-    for run in (one, other):
-        if run.name in frozen.exempt:
-            yield f"{run.name} was given all observations"
+    left = frozen.not_fused({run.name: run for run in (one, other)})
+    for name in (one.name, other.name):
+        if name not in left:
+            yield f"{name} was given all observations"
             continue
-        left = int(np.count_nonzero(frozen.kept & ~run.used))
-        share = left / max(int(np.count_nonzero(frozen.kept)), 1)
+        share = left[name] / max(int(np.count_nonzero(frozen.kept)), 1)
         if share > LARGEST_SHARE:
-            yield f"{run.name} left out {100.0 * share:.1f} % of the common observations"
+            yield f"{name} left out {100.0 * share:.1f} % of the common observations"
 
 
 def _assumptions(one: Run, other: Run) -> Iterator[str]:
