@@ -3,11 +3,11 @@
 A track starts when its disparity stands clear of its uncertainty, and waits until then.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from vislam.base.types import Array, BoolArray
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
 from vislam.models import StereoRig
 from vislam.models.triangulation import triangulate
@@ -55,16 +55,12 @@ class Start:
             return self.ready
         return np.asarray(self.clear & (self.worst < 2.0 * np.median(self.worst[self.clear])))
 
-
-def better(one: Start, other: Start) -> Start:
-    """For each track, what ``other`` says where only that is ready, else what ``one`` says."""
-    take = other.ready & ~one.ready
-    return Start(
-        np.where(take[:, None], other.points_world, one.points_world),
-        np.where(take, other.depth, one.depth),
-        np.where(take, other.clear, one.clear),
-        np.where(take, other.worst, one.worst),
-    )
+    def with_ready(self, rows: IntArray, other: "Start") -> "Start":
+        """The same, with those of ``other``, which are the tracks in ``rows (m,)``, that are ready there."""
+        merged = {item.name: getattr(self, item.name).copy() for item in fields(self)}
+        for name, values in merged.items():
+            values[rows[other.ready]] = getattr(other, name)[other.ready]
+        return Start(**merged)
 
 
 def starts(

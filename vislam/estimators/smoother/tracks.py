@@ -8,7 +8,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.keys import landmark
-from vislam.estimators.smoother.starting import Start, better, starts
+from vislam.estimators.smoother.starting import Start, starts
 from vislam.models import StereoRig
 
 _CHUNK = 512
@@ -135,8 +135,11 @@ class Tracks:
             return []
         newest = len(poses) - 1
         found = locate(rig, candidates, poses, clear=clear, predicted=newest)
-        without = locate(rig, candidates, poses, clear=clear, predicted=newest, fitted=False)
-        found = better(found, without)
+        rest = np.flatnonzero(~found.ready)
+        if len(rest):
+            waiting = [candidates[index] for index in rest]
+            without = locate(rig, waiting, poses, clear=clear, predicted=newest, fitted=False)
+            found = found.with_ready(rest, without)
         started = []
         self._frames_without = 0 if self.in_view or found.ready.any() else self._frames_without + 1
         ready = found.ready_alone if self._frames_without > _PATIENCE else found.ready
