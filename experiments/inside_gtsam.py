@@ -17,7 +17,6 @@ from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engin
 
 RUNS = {
     "isam2": SmootherOptions(),
-    "isam2, robust: cauchy": SmootherOptions(robust="cauchy"),
     "isam2, marginals: all": SmootherOptions(marginals="all"),
 }
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, multivariate_t
 
 from tests.conftest import from_first
 from vislam.base.errors import DivergedError
@@ -117,33 +116,11 @@ def test_the_gate_refuses_the_share_that_it_is_set_to(short_config: Config, prob
         gate_probability=probability,
     )
     dataset = open_dataset(config.data, seed=2)
-    estimator = EkfEstimator(make_problem(config, dataset), EkfOptions(robust="none"))
+    estimator = EkfEstimator(make_problem(config, dataset), EkfOptions())
     found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
     seen = found.gated | (found.used & (dataset.sequence.age() > 0))
     # Innovations have three degrees of freedom: with the bound of two, the share would be twice as large.
     assert found.gated[seen].mean() == pytest.approx(1.0 - probability, rel=0.3)
-
-
-def test_the_student_weight_is_that_of_the_density(short: Dataset, short_config: Config):
-    """w = -2 d log p / d (d^2), of a Student density in three dimensions with four degrees of freedom."""
-    estimator = EkfEstimator(make_problem(short_config, short), EkfOptions(robust="student"))
-    density, step = multivariate_t(loc=np.zeros(3), shape=np.eye(3), df=4.0), 1e-4
-    squared = np.array([0.0, 0.5, 3.0, 9.0, 100.0]) + step
-
-    def log_density(at):
-        return density.logpdf(np.sqrt(at)[:, None] * [0.0, 0.6, 0.8])
-
-    slope = (log_density(squared + step) - log_density(squared - step)) / (2.0 * step)
-    assert np.allclose(estimator._weight(squared), -2.0 * slope, rtol=1e-5)
-
-
-def test_the_huber_weight_is_that_of_the_density(short: Dataset, short_config: Config):
-    """w = psi(d) / d: all of it up to the bound, and the same pull for whatever is beyond."""
-    estimator = EkfEstimator(make_problem(short_config, short), EkfOptions(robust="huber"))
-    bound = chi2.ppf(0.95, 3)
-    assert np.allclose(estimator._weight(np.array([0.0, 1.0, 0.99 * bound])), 1.0)
-    beyond = bound * np.array([1.01, 4.0, 100.0])
-    assert np.allclose(estimator._weight(beyond) * np.sqrt(beyond), np.sqrt(bound))
 
 
 def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):

@@ -3,18 +3,16 @@
 import gtsam
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.stats import chi
 
 from tests.smoother.drives import RIG
 from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
 from vislam.core.frame import Frame, OdometryStep, StereoFrame
-from vislam.estimators.smoother.factors import _KERNELS, StereoFactors
+from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
 from vislam.estimators.smoother.motion import OdometryMotion
 from vislam.estimators.smoother.tracks import View
 from vislam.geometry import se3
-from vislam.models import TrackNoise
+from vislam.models import Kernel, TrackNoise
 from vislam.models.odometry import MotionNoise
 
 DENSITY = np.array([1e-3, 2e-3, 3e-3, 0.02, 0.03, 0.04])
@@ -22,7 +20,6 @@ WALK = np.array([1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 3e-3])
 BIAS_SIGMA = np.array([0.01, 0.02, 0.03, 0.1, 0.2, 0.3])
 BIAS_MEAN = np.array([0.001, -0.002, 0.003, 0.1, -0.2, 0.3])
 FIRST_SIGMA = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])
-KERNELS = [name for name in _KERNELS if name != "dcs"]
 
 
 def problem(**more):
@@ -252,52 +249,17 @@ def test_smart_factor_is_the_stereo_factors_without_their_landmark(rng):
     assert np.allclose(found[:, :24], wanted[:, :24], rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 
 
-def influence(kernel, norm):
-    return kernel.weight(norm) * norm
-
-
-def efficiency(kernel):
-    """Asymptotic efficiency of a location estimate in three dimensions under Gaussian noise.
-
-    For psi(r) = w(|r|) r it is (E div psi / 3)^2 / (E |psi|^2 / 3), each over |r| ~ chi(3); by parts,
-    E div psi = E psi(r) . r.
-    """
-    ends = {"limit": 400}
-    slope = quad(lambda r: influence(kernel, r) * r * chi.pdf(r, 3), 0.0, 12.0, **ends)[0] / 3.0
-    power = quad(lambda r: influence(kernel, r) ** 2 * chi.pdf(r, 3), 0.0, 12.0, **ends)[0] / 3.0
-    return slope**2 / power
-
-
-@pytest.mark.parametrize("name", KERNELS)
-def test_the_usual_threshold_is_95_percent_efficient_for_three_numbers(name):
-    kind, threshold = _KERNELS[name]
-    assert abs(efficiency(kind.Create(threshold)) - 0.95) < 2e-4
-    assert efficiency(kind.Create(0.8 * threshold)) < 0.95 < efficiency(kind.Create(1.2 * threshold))
-
-
-def test_the_efficiency_is_what_a_monte_carlo_finds(rng):
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(2.666)
-    estimates = []
-    for sample in rng.normal(size=(1000, 60, 3)):
-        mean = sample.mean(axis=0)
-        for _ in range(15):
-            weight = 1.0 / (1.0 + np.sum((sample - mean) ** 2, axis=1) / 2.666**2)
-            mean = weight @ sample / weight.sum()
-        estimates.append(mean)
-    found = (1.0 / 60) / np.mean(np.square(estimates))
-    assert abs(found - 0.95) < 4.0 * np.sqrt(2.0 / 3000)
-    assert np.isclose(kernel.weight(1.5), 1.0 / (1.0 + (1.5 / 2.666) ** 2))
-
-
-def test_a_robust_stereo_factor_weighs_by_the_norm_of_the_whitened_residual(rng):
+def test_the_factor_has_the_density_and_the_weight_of_the_kernel():
     sigma, key, values = np.array([0.3, 0.4, 0.2]), landmark(0, 8.0), gtsam.Values()
-    point = np.array([[1.0, -0.5, 8.0]])
-    off = np.array([3.0, -2.0, 1.0])
+    point, off = np.array([[1.0, -0.5, 8.0]]), np.array([3.0, -2.0, 1.0])
     values.insert(X(0), gtsam.Pose3())
     values.insert(key, se3.transform(RIG.imu_T_cam, point)[0])
     z = RIG.project(point[0]) + off
-    robust = StereoFactors(RIG, robust="huber").stereo(0, key, z=z, sigma=sigma)
-    whitened = np.linalg.norm(off / sigma)
-    assert np.isclose(robust.error(values), 1.628 * (whitened - 0.5 * 1.628))
-    wide = StereoFactors(RIG, robust="huber", threshold=100.0).stereo(0, key, z=z, sigma=sigma)
-    assert np.isclose(wide.error(values), 0.5 * whitened**2)
+    kernel = Kernel(4.0)
+    robust = StereoFactors(RIG, kernel=kernel).stereo(0, key, z=z, sigma=sigma)
+    squared = float(np.sum((off / sigma) ** 2))
+    # -log p of Student's density in three dimensions, less its value at zero.
+    assert np.isclose(robust.error(values), 3.5 * np.log(1.0 + squared / 4.0), rtol=1e-12)
+    plain = StereoFactors(RIG).stereo(0, key, z=z, sigma=sigma)
+    weighted, whole = (information([factor], values, [X(0), key]) for factor in (robust, plain))
+    assert np.allclose(weighted, kernel.weight(np.array(squared)) * whole, rtol=1e-9)

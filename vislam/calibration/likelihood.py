@@ -11,6 +11,7 @@ from vislam.calibration.workers import Workers
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset
+from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.estimators import loop
@@ -46,7 +47,7 @@ class Evaluator:
     def match_errors(self, config: Config) -> tuple[IntArray, Array, Array]:
         """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
         dataset = self._moved(config)
-        solver = EkfEstimator(make_problem(config, dataset), _OPTIONS)
+        solver = EkfEstimator(_problem(config, dataset), _OPTIONS)
         _run(solver, dataset, config, None)
         return solver.match_errors()
 
@@ -77,8 +78,13 @@ def first_frames(sequence: Sequence, frames: int) -> Sequence:
 
 
 def _filter(dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:
-    solver = EkfEstimator(make_problem(config, dataset), replace(_OPTIONS, gate=usable is None))
+    solver = EkfEstimator(_problem(config, dataset), replace(_OPTIONS, gate=usable is None))
     return _run(solver, dataset, config, usable)
+
+
+def _problem(config: Config, dataset: Dataset) -> Problem:
+    """Problem of a config without its kernel: the likelihood is that of Gaussian innovations."""
+    return replace(make_problem(config, dataset), kernel=None)
 
 
 def _run(solver: EkfEstimator, dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:

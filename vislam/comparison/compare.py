@@ -28,7 +28,7 @@ from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
 from vislam.datasets.find import search_path
 from vislam.evaluation.held_out import hold_out
-from vislam.models import TrackNoise, independent_sigma
+from vislam.models import Kernel, TrackNoise, independent_sigma
 from vislam.models.odometry import MotionNoise
 
 _ID_DIGITS = 10
@@ -305,6 +305,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         clock_sigma=noise.clock_sigma,
         disparity_offset_sigma=noise.disparity_offset_sigma_px,
         climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
+        kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
     )
 
 

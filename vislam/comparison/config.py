@@ -21,6 +21,7 @@ __all__ = [
     "DataConfig",
     "HeldOutConfig",
     "InertialConfig",
+    "KernelConfig",
     "NoiseConfig",
     "PackagedConfig",
     "Six",
@@ -139,6 +140,15 @@ class NoiseConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class KernelConfig:
+    """Student's density for the pixel errors: outliers pull less the farther off they are."""
+
+    degrees_of_freedom: Positive = 4.0
+    """Of the density: the smaller, the heavier are its tails. An observation with the squared whitened
+    residual d² has its variance divided by (nu + 3) / (nu + d²)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class HeldOutConfig:
     """Tracks that are kept from every estimator; afterwards they say how well each predicts them."""
 
@@ -163,6 +173,11 @@ class Config:
     """What is kept from every estimator, to score them by without a reference."""
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
     """Share of good observations that the chi-square gate lets pass."""
+    kernel: KernelConfig | None = None
+    """Robust kernel of every estimator, on residuals whitened by the measurement noise; null: pixel errors
+    are Gaussian. A run may have another by a ``kernel`` of its own section. Who cannot take it is named as of
+    unequal information; with it there is no NIS and no fit, as weighted residuals are no chi-square
+    numbers."""
     gates_from: str | None = None
     """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
     where there is ``frozen_by``."""

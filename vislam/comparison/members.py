@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass as plain_dataclass
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass
@@ -12,9 +12,10 @@ from pydantic.dataclasses import dataclass
 from vislam.base.errors import ConfigError, DataError, Interrupted
 from vislam.base.fields import STRICT
 from vislam.comparison import config as configuration
-from vislam.comparison.config import LIST_MAKER, Config
+from vislam.comparison.config import LIST_MAKER, Config, KernelConfig
 from vislam.core import estimator
 from vislam.core.estimator import Build, Estimator, Problem
+from vislam.models import Kernel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -26,6 +27,9 @@ class MemberConfig:
     observations: Literal["listed", "all"] = "listed"
     """``listed``: those of the frozen list, where there is one (``frozen_by``). ``all``: all that the repairs
     left, gated or not as the estimator's own options say."""
+    kernel: KernelConfig | Literal["shared"] | None = "shared"
+    """``shared``: that of the comparison. Another, or null for none, is for this run alone, whose information
+    is then not that of the rest."""
 
 
 @plain_dataclass(frozen=True)
@@ -39,11 +43,14 @@ class Member:
         The estimator's own.
     takes_all : bool
         Whether it is given all observations where others are given a frozen list.
+    kernel : KernelConfig, "shared" or None
+        Its own robust kernel, or that of the comparison.
     """
 
     builder: Build
     options: Mapping[str, Any]
     takes_all: bool
+    kernel: KernelConfig | Literal["shared"] | None = "shared"
 
     def build(self, problem: Problem) -> "Estimator | Unbuilt":
         """Build the estimator; whatever its own code raises on the way, ``sys.exit`` included, is kept.
@@ -53,6 +60,9 @@ class Member:
         ConfigError, DataError
             If its options, or files that they name, cannot be used.
         """
+        if self.kernel != "shared":
+            own = self.kernel
+            problem = replace(problem, kernel=None if own is None else Kernel(own.degrees_of_freedom))
         try:
             return self.builder(problem, deepcopy(dict(self.options)))
         except (ConfigError, DataError, Interrupted):
@@ -114,4 +124,4 @@ def _member(name: str, section: Mapping[str, Any]) -> Member:
     )
     options = {key: value for key, value in section.items() if key not in shared}
     builder = estimator.find(own.estimator or name, section=name)
-    return Member(builder, options, takes_all=own.observations == "all")
+    return Member(builder, options, takes_all=own.observations == "all", kernel=own.kernel)

@@ -15,7 +15,7 @@ from vislam.base.settings import parse
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.step import Final, Step
-from vislam.models import StereoRig, TrackNoise
+from vislam.models import Kernel, StereoRig, TrackNoise
 from vislam.models.odometry import MotionNoise
 
 GROUP = "vislam.estimators"
@@ -68,6 +68,9 @@ class Problem:
         Prior standard deviation of a constant error of all disparities [px]; 0: known.
     climb : ClimbNoise or None
         None: the climb rate is not used.
+    kernel : Kernel or None
+        Robust kernel of the stereo observations, on residuals whitened by their noise; None: they are
+        Gaussian.
     """
 
     rig: StereoRig
@@ -80,6 +83,7 @@ class Problem:
     clock_sigma: float = 0.0
     disparity_offset_sigma: float = 0.0
     climb: ClimbNoise | None = None
+    kernel: Kernel | None = None
 
 
 class Estimator(Protocol):

@@ -8,6 +8,7 @@ from vislam.base import settings
 from vislam.core.estimator import Problem
 from vislam.estimators.ekf.filter import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.former import refuse_former
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "ekf": {},
@@ -22,6 +23,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> EkfEstimator:
     """Build a member from a problem and the options of its config section."""
+    refuse_former(options, at=f"estimators.{name}")
     return EkfEstimator(
         problem, settings.parse(EkfOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     )

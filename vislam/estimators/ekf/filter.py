@@ -18,17 +18,15 @@ from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.motion import Block, Motion
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.ekf.reweighting import student_weights
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
+from vislam.models.kernel import kernel_name
 from vislam.models.odometry import POSE
 
 _AT_REST = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
-_HUBER_DISTANCE = float(chi2.ppf(0.95, 3))
-"""Squared Mahalanobis distance up to which an observation keeps its full weight: 95 % of the good ones."""
-_STUDENT_FREEDOM = 4.0
-"""Degrees of freedom of the Student distribution."""
 
 
 class EkfEstimator:
@@ -60,11 +58,12 @@ class EkfEstimator:
         self._meter = Unobservable(layout.size) if options.observability else None
         self.information = {
             "noise of the tracks": "independent" if self._independent else "drift and match error as states",
-            "kernel": options.robust,
+            "kernel": kernel_name(problem.kernel),
             "twist bias": "estimated",
         }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []
+        self._unsettled: set[int] = set()
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
@@ -82,6 +81,8 @@ class EkfEstimator:
         """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""
         self._see_off(np.zeros(len(self.state.track), bool))
         poses, counts = None, {}
+        if self._problem.kernel is not None:
+            counts["reweightings_not_converged"] = len(self._unsettled)
         if self._recorder is None:
             landmarks = Landmarks.join(self._left)
         else:
@@ -133,13 +134,16 @@ class EkfEstimator:
         used[rows[fused]] = True
         all_gated[rows[gated]] = True
         dof, bias = 3 * int(fused.sum()), self._layout[TWIST_BIAS]
+        # Weighted innovations are no chi-square numbers, nor is their density a Gaussian's.
+        gaussian = self._problem.kernel is None
+        nis, density = (0.0, 0.0) if update is None else (update.nis, _log_density(update, dof))
         return Step(
             pose=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
             states={TWIST_BIAS: State(state.nav[bias].copy(), np.sqrt(np.diagonal(state.cov)[bias]))},
-            nis=0.0 if update is None else update.nis,
-            dof=dof,
-            log_likelihood=told + (0.0 if update is None else _log_density(update, dof)),
+            nis=nis if gaussian else 0.0,
+            dof=dof if gaussian else 0,
+            log_likelihood=told + density if gaussian else float("nan"),
             used=used,
             gated=all_gated,
         )
@@ -162,8 +166,8 @@ class EkfEstimator:
         good, gated = allowed & passes, allowed & ~passes
         if not good.any():
             return nothing, gated, None
-        variance = variance / self._weight(distance)[:, None]
-        update = innovation.update(variance, good)
+        weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
+        update = innovation.update(weighted, good)
         # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
         for _ in range(self._options.iterations - 1):
             correction = update.correction
@@ -173,7 +177,8 @@ class EkfEstimator:
             if not (view.depth[good] > self._nearest).all():
                 break
             innovation = self._linearise(state, view, z, correction)
-            update = innovation.update(variance, good)
+            weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
+            update = innovation.update(weighted, good)
             change = update.correction - correction
             if (change**2 <= _AT_REST**2 * np.diagonal(state.cov)).all():
                 break
@@ -200,13 +205,22 @@ class EkfEstimator:
         projected = jacobian.times(state.cov)
         return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
 
-    def _weight(self, distance: Array) -> Array:
-        """Weights ``(n,)`` of observations with squared Mahalanobis distances ``(n,)``."""
-        if self._options.robust == "huber":
-            return np.minimum(1.0, np.sqrt(_HUBER_DISTANCE / np.maximum(distance, 1e-12)))
-        if self._options.robust == "student":
-            return (_STUDENT_FREEDOM + 3.0) / (_STUDENT_FREEDOM + distance)
-        return np.ones(len(distance))
+    def _weighted(
+        self, innovation: "_Innovation", variance: Array, good: BoolArray, k: int, *, distance: Array
+    ) -> Array:
+        """Variances ``(n, 3)`` under the kernel, if there is one, that starts from ``distance (n,)``."""
+        kernel = self._problem.kernel
+        if kernel is None:
+            return variance
+        value, spread = innovation.of(good)
+        weights, converged = student_weights(
+            kernel, spread, variance[good], value, first=kernel.weight(distance[good])
+        )
+        if not converged:
+            self._unsettled.add(k)
+        variance = variance.copy()
+        variance[good] /= weights[:, None]
+        return variance
 
     def _measure(self, state: JointState, frame: Frame) -> float:
         """Fuse what the model of motion measures; returns the logarithm of its density."""
@@ -281,6 +295,11 @@ class _Innovation:
         own = self.spread.reshape(n, 3, n, 3)[each, :, each] + variance[:, :, None] * np.eye(3)
         value = self.value.reshape(n, 3)
         return np.einsum("ni,ni->n", value, np.linalg.solve(own, value[:, :, None])[:, :, 0])
+
+    def of(self, good: BoolArray) -> tuple[Array, Array]:
+        """``value`` and ``spread`` of the good sightings, as copies."""
+        rows = np.flatnonzero(np.repeat(good, 3))
+        return self.value[rows], self.spread[np.ix_(rows, rows)]
 
     def update(self, variance: Array, good: BoolArray) -> Update:
         """Update with the good sightings; uses up ``projected`` and ``spread``."""

@@ -23,8 +23,6 @@ class EkfOptions:
     """Most Gauss-Newton steps of an update; more than one only with the standard error."""
     gate: bool = True
     """Refuse observations by a chi-square test of their innovation."""
-    robust: Literal["none", "huber", "student"] = "none"
-    """Take observations that fit badly for noisier than they are, by the weights of this distribution."""
     track_errors: Literal["states", "independent"] = "independent"
     """``independent``: drift and match error of the tracks are taken for white noise of the same mean
     variance, as a smoother of plain stereo factors has to. ``states``: those of each track are part of the

@@ -1,6 +1,6 @@
 """The factors of the tracks: GTSAM's own, with the noise and the kernel that are asked for."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import gtsam
@@ -10,22 +10,11 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.tracks import View
-from vislam.models import StereoRig
+from vislam.models import Kernel, StereoRig
 
 _VAGUE = 1e3
 """Standard deviation of a landmark of which nothing is known [m]."""
 _MOST_NOISES = 1000
-
-_KERNELS: Mapping[str, tuple[Any, float]] = {
-    # Each with the threshold on the norm of a whitened residual of three numbers at which an estimate of
-    # location is 95 % efficient under Gaussian noise; DCS has that of Geman-McClure, which it resembles.
-    "huber": (gtsam.noiseModel.mEstimator.Huber, 1.628),
-    "cauchy": (gtsam.noiseModel.mEstimator.Cauchy, 2.666),
-    "tukey": (gtsam.noiseModel.mEstimator.Tukey, 5.490),
-    "welsch": (gtsam.noiseModel.mEstimator.Welsch, 3.469),
-    "geman_mcclure": (gtsam.noiseModel.mEstimator.GemanMcClure, 4.337),
-    "dcs": (gtsam.noiseModel.mEstimator.DCS, 4.337),
-}
 
 
 class StereoFactors:
@@ -34,19 +23,18 @@ class StereoFactors:
     Parameters
     ----------
     rig : StereoRig
-    robust : str
-        Kernel of the stereo factors, ``none`` for none.
-    threshold : float or None
-        Its threshold in standard deviations; None for the usual one.
+    kernel : Kernel or None
+        Student's density of the pixel errors, as GTSAM's Cauchy kernel, which is the same function; smart
+        factors have none.
     """
 
-    def __init__(self, rig: StereoRig, *, robust: str = "none", threshold: float | None = None) -> None:
+    def __init__(self, rig: StereoRig, *, kernel: Kernel | None = None) -> None:
         self._calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
         self._body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
-        self._kernel = None
-        if robust != "none":
-            kernel, usual = _KERNELS[robust]
-            self._kernel = kernel.Create(usual if threshold is None else threshold)
+        self._kernel, self._narrower = None, 1.0
+        if kernel is not None:
+            threshold, self._narrower = kernel.cauchy
+            self._kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(threshold)
         self._noises: dict[tuple[float, ...], gtsam.noiseModel.Base] = {}
 
     def stereo(self, k: int, key: int, *, z: Array, sigma: Array) -> gtsam.NonlinearFactor:
@@ -76,7 +64,7 @@ class StereoFactors:
         if len(self._noises) > _MOST_NOISES:
             self._noises.clear()
         if which not in self._noises:
-            noise: gtsam.noiseModel.Base = _sigmas(sigma)
+            noise: gtsam.noiseModel.Base = _sigmas(self._narrower * sigma)
             if self._kernel is not None:
                 noise = gtsam.noiseModel.Robust.Create(self._kernel, noise)
             self._noises[which] = noise

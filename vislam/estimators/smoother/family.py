@@ -7,6 +7,7 @@ from typing import Any
 from vislam.base import settings
 from vislam.base.errors import ConfigError
 from vislam.core.estimator import Problem
+from vislam.estimators.former import refuse_former
 from vislam.estimators.smoother.incremental import SmootherEstimator
 from vislam.estimators.smoother.options import SmootherOptions
 
@@ -27,6 +28,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
     """Build a member from a problem and the options of its config section."""
+    refuse_former(options, at=f"estimators.{name}")
     parsed = settings.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
     if problem.disparity_offset_sigma > 0.0:
         raise ConfigError(

@@ -18,6 +18,7 @@ from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.solver import Solver
+from vislam.models.kernel import kernel_name
 
 _log = logging.getLogger("vislam.estimators.smoother")
 
@@ -41,13 +42,15 @@ class SmootherEstimator:
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self.tell: Tell = _log.info
         self._problem, self._options = problem, options
+        kernel = problem.kernel if options.plain else None
+        self._gaussian = options.plain and kernel is None
         self.information = {
             "noise of the tracks": _noise(options),
-            "kernel": _kernel(options),
+            "kernel": "truncated least squares" if options.final == "gnc" else kernel_name(kernel),
             "twist bias": "estimated" if options.motion == "bias" else "taken for known",
         }
         self._motion = motion.make(problem, between=options.motion == "between")
-        self._stereo = StereoFactors(problem.rig, robust=options.robust, threshold=options.robust_threshold)
+        self._stereo = StereoFactors(problem.rig, kernel=kernel)
         self._solver = Solver(problem.rig, options, self._motion, self._stereo)
         self._recovery = Recovery(problem.rig, options, self._solver)
         self._frames: list[Frame] = []
@@ -104,7 +107,7 @@ class SmootherEstimator:
             tracks = drive.tracks
             poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
-            if options.plain:
+            if self._gaussian:
                 fit = drive.fit(values)
             if options.marginals != "none":
                 asked = [track.key for track in tracks] if options.marginals == "all" else []
@@ -168,11 +171,3 @@ def _stopped(what: str, budget: Budget, by: str) -> str:
 
 def _noise(options: SmootherOptions) -> str:
     return "independent" if options.factors == "stereo" else "independent, rows as noisy as columns"
-
-
-def _kernel(options: SmootherOptions) -> str:
-    """What takes outliers' weight, in words; the threshold counts only where it is not the usual one."""
-    if options.final == "gnc":
-        return "truncated least squares"
-    threshold = "" if options.robust_threshold is None else f", threshold {options.robust_threshold:g}"
-    return f"{options.robust}{threshold}"

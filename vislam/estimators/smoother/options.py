@@ -7,17 +7,11 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, NonNegative, Positive
 
-Kernel = Literal["none", "huber", "cauchy", "tukey", "welsch", "geman_mcclure", "dcs"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SmootherOptions:
     """Options of a smoother. The members of the family are settings of them."""
 
-    robust: Kernel = "none"
-    """Robust kernel of the stereo factors."""
-    robust_threshold: Positive | None = None
-    """Its threshold in standard deviations; null: where it is 95 % efficient under Gaussian noise."""
     motion: Literal["bias", "between"] = "bias"
     """How the recorded twist enters: with its bias as a variable that walks, or as one
     ``BetweenFactorPose3`` a step with the bias taken for known, at its prior's mean."""
@@ -69,8 +63,8 @@ class SmootherOptions:
 
     @property
     def plain(self) -> bool:
-        """Whether the sum of squares that is minimised is that of the noise: no kernel, nothing taken out."""
-        return self.robust == "none" and self.final != "gnc" and self.factors == "stereo"
+        """Whether all stereo factors have the noise that is stated, and none is taken out."""
+        return self.final != "gnc" and self.factors == "stereo"
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning together."""
@@ -80,7 +74,3 @@ class SmootherOptions:
             )
         if self.factors == "smart" and self.final != "batch":
             raise ValueError("factors: smart ones are for final: batch alone")
-        if self.robust != "none" and (self.factors == "smart" or self.final == "gnc"):
-            raise ValueError("robust: neither smart factors nor gnc can have a kernel; set it to none")
-        if self.robust_threshold is not None and self.robust == "none":
-            raise ValueError("robust_threshold: there is no robust kernel it could be the threshold of")
