@@ -70,4 +70,5 @@ def on_frames(run, rows):
         states={name: of(state) for name, state in run.states.items()},
         innovations=of(run.innovations),
         cost=of(run.cost),
+        lagged=None,
     )

@@ -24,6 +24,7 @@ from vislam.comparison.open import Dataset, open_dataset, require_usable
 from vislam.comparison.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
 from vislam.comparison.running import Runner
 from vislam.core.estimator import ClimbNoise, Estimator, Problem
+from vislam.core.lagged import Lags
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
 from vislam.datasets.find import search_path
@@ -193,7 +194,9 @@ def prepare(
     frozen = None
     if config.frozen_by:
         makers = list_makers(config, found)
-        gating = {name: maker.build(make_problem(config, dataset)) for name, maker in makers.items()}
+        # Each with a problem of its own, and of the list nobody asks for more than what was fused.
+        plain = replace(config, lags=())
+        gating = {name: maker.build(make_problem(plain, dataset)) for name, maker in makers.items()}
         exempt = tuple(name for name, member in found.items() if member.takes_all)
         try:
             frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
@@ -306,6 +309,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         disparity_offset_sigma=noise.disparity_offset_sigma_px,
         climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
+        lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,
     )
 
 

@@ -201,10 +201,20 @@ class Config:
     study: dict[str, Any] | None = None
     """How ``vislam.study`` repeats the comparison with other seeds and values, which it reads itself
     (``vislam.study.settings``); nothing else looks at it."""
+    lags: Annotated[tuple[Annotated[int, Field(ge=0, le=1000)], ...], Field(max_length=50)] = ()
+    """Lags in frames, increasing, at which the pose of a frame is read again and scored, from 0, as filtered;
+    what all data say is added. Empty: none is. It takes time at each frame."""
+    lag_cov_every: Annotated[int, Field(ge=1)] = 10
+    """Frames between two whose covariances are read at each lag, for the NEES."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Seed = 0
     """Seed of whatever is simulated."""
+
+    def __post_init__(self) -> None:
+        """Refuse lags that are out of order."""
+        if list(self.lags) != sorted(set(self.lags)):
+            raise ValueError(f"lags: expected increasing numbers of frames, got {list(self.lags)}")
 
 
 def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:

@@ -229,6 +229,7 @@ def metrics_document(
         "statistics": evaluation.statistic_records(),
         "worst_segments": evaluation.worst_segments(),
         "map_agreement": evaluation.map_agreement(),
+        "lag": evaluation.lag_records(),
         "attribution": [asdict(rung) for rung in rungs],
         "checks": [verdict.record() for verdict in verdicts],
     }

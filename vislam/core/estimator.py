@@ -14,6 +14,7 @@ from vislam.base.errors import ConfigError
 from vislam.base.settings import parse
 from vislam.base.types import Array
 from vislam.core.frame import Frame
+from vislam.core.lagged import Lags
 from vislam.core.step import Final, Step
 from vislam.models import Kernel, StereoRig, TrackNoise
 from vislam.models.odometry import MotionNoise
@@ -71,6 +72,8 @@ class Problem:
     kernel : Kernel or None
         Robust kernel of the stereo observations, on residuals whitened by their noise; None: they are
         Gaussian.
+    lags : Lags or None
+        How much later poses are asked for again (``Final.lagged``); None: they are not.
     """
 
     rig: StereoRig
@@ -84,6 +87,7 @@ class Problem:
     disparity_offset_sigma: float = 0.0
     climb: ClimbNoise | None = None
     kernel: Kernel | None = None
+    lags: Lags | None = None
 
 
 class Estimator(Protocol):

@@ -9,6 +9,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.archive import read_archive, write_archive
+from vislam.core.lagged import Lagged
 from vislam.core.schema import (
     DIRECTION,
     IDS,
@@ -70,6 +71,10 @@ _TABLE: Table = {
     "blind": Plain(bool),
     "identity": Plain(str),
     "information": Plain(dict[str, str]),
+    "lagged": Section(optional=True, later=True),
+    "lagged.lag": whole("l", INCREASING, NOT_NEGATIVE),
+    "lagged.world_T_imu": real("l T 4 4", RIGID),
+    "lagged.cov": real("l T 6 6", gaps=True),
 }
 """The fields of a saved run: type, shape and range of each, a letter for each size."""
 
@@ -163,6 +168,7 @@ _PARTS: dict[str, Callable[..., Any]] = {
     "cost": Cost,
     "map": Landmarks,
     "log": Log,
+    "lagged": Lagged,
 }
 
 
@@ -201,6 +207,8 @@ class Run:
     information : dict of str to str
         How the estimator says that it takes what it is given, by what that is: the noise of the tracks, their
         outliers. Empty if it does not say.
+    lagged : Lagged or None
+        The poses as known at some lags; None where that was not asked for, or cannot be told.
     """
 
     name: str
@@ -221,6 +229,7 @@ class Run:
     blind: bool = False
     identity: str = ""
     information: dict[str, str] = field(default_factory=dict)
+    lagged: Lagged | None = None
 
     @classmethod
     def without_frames(cls, name: str, log: Log, *, frames_expected: int, observations: int) -> "Run":
@@ -279,6 +288,7 @@ class Run:
             filtered=self.filtered.moved(turn),
             smoothed=None if self.smoothed is None else self.smoothed.moved(turn),
             map=None if self.map is None else self.map.moved(turn),
+            lagged=None if self.lagged is None else self.lagged.moved(turn),
             up=np.array([0.0, 0.0, 1.0]),
         )
 
@@ -291,6 +301,6 @@ class Run:
         """Read a saved run; a DataError says what is wrong with it."""
         tree = read_archive(path, _TABLE, what="a run as this version of vislam saves it")
         for name, kind in _PARTS.items():
-            tree[name] = None if tree[name] is None else kind(**tree[name])
+            tree[name] = None if tree.get(name) is None else kind(**tree[name])
         tree["states"] = {name: StateHistory(**history) for name, history in tree["states"].items()}
         return cls(**tree)

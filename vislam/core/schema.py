@@ -141,7 +141,8 @@ def _repeated(values: Array) -> BoolArray:
 
 
 def _not_rigid(pose: Array) -> BoolArray:
-    return ~se3.is_rigid(pose.reshape(-1, 4, 4), tolerance=_ROTATION_TOLERANCE)
+    rigid = se3.is_rigid(pose.reshape(-1, 4, 4), tolerance=_ROTATION_TOLERANCE)
+    return np.asarray(~rigid.reshape(pose.shape[:-2] or (1,)))
 
 
 def _no_direction(vector: Array) -> BoolArray:

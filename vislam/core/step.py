@@ -84,6 +84,9 @@ class Final:
     fit : tuple of float, int or None
         Sum of the squares of all residuals of the estimate, each by its noise, and how many more there are
         than unknowns; None where that is no chi-square number.
+    lagged : mapping of int to Poses
+        All poses as known so many frames later, or at the end if that comes before, at the lags that the
+        problem asks for. Empty from who cannot tell.
     """
 
     trajectory: Poses | None = None
@@ -93,3 +96,4 @@ class Final:
     events: tuple[str, ...] = ()
     up: Array | None = None
     fit: tuple[float, int] | None = None
+    lagged: Mapping[int, Poses] = field(default_factory=dict)

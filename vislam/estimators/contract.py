@@ -92,6 +92,7 @@ def checked_final(final: Any, frames: int) -> Final:
         events=_events(final.events),
         up=up,
         fit=_fit(final.fit),
+        lagged=_lagged(final.lagged, frames),
     )
 
 
@@ -131,9 +132,19 @@ def _trajectory(value: Any, frames: int) -> Poses | None:
         return None
     if not isinstance(value, Poses):
         raise ContractError(f"trajectory must be Poses(array), got {type(value).__name__}")
+    return _all_poses("trajectory", value, frames)
+
+
+def _lagged(value: Any, frames: int) -> dict[int, Poses]:
+    if not isinstance(value, Mapping) or not all(isinstance(poses, Poses) for poses in value.values()):
+        raise ContractError(f"lagged must be Poses(array) by lag, got {quoted(value)}")
+    return {_count("lagged: a lag", lag): _all_poses(f"lagged[{lag}]", value[lag], frames) for lag in value}
+
+
+def _all_poses(name: str, value: Poses, frames: int) -> Poses:
     return Poses(
-        _poses("trajectory.world_T_imu", value.world_T_imu, (frames, 4, 4)),
-        _covariance("trajectory.cov", value.cov, (frames, 6, 6)),
+        _poses(f"{name}.world_T_imu", value.world_T_imu, (frames, 4, 4)),
+        _covariance(f"{name}.cov", value.cov, (frames, 6, 6)),
     )
 
 

@@ -15,6 +15,7 @@ from vislam.base.errors import ContractError, Interrupted, first_line
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimator
+from vislam.core.lagged import Lagged
 from vislam.core.run import Cost, Innovations, Log, Run, StateHistory
 from vislam.core.sequence import Sequence
 from vislam.core.step import Final, State, Step
@@ -178,6 +179,7 @@ class _Journal:
                 events=final.events + self._ignored_rejections(),
             ),
             fit=final.fit,
+            lagged=_lagged(final, done),
         )
         return found if final.up is None else replace(found, up=final.up)
 
@@ -215,6 +217,14 @@ def _smoothed(trajectory: Poses | None, filtered: Poses) -> Poses | None:
     if trajectory is None or np.array_equal(trajectory.world_T_imu, filtered.world_T_imu):
         return None
     return trajectory
+
+
+def _lagged(final: Final, frames: int) -> Lagged | None:
+    """Poses by their lag, behind them those that all data tell; None where none were asked for."""
+    poses = {lag: poses for lag, poses in final.lagged.items() if lag < frames}
+    if poses and final.trajectory is not None:
+        poses[frames - 1] = final.trajectory
+    return Lagged.of(poses)
 
 
 def _said(failure: BaseException) -> str:

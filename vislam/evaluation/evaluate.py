@@ -105,6 +105,17 @@ class Evaluation:
             for name, one in self.scores.items()
         }
 
+    def lag_records(self) -> dict[str, dict[str, object]]:
+        """Poses of each run as known at each lag, and the mean time of a step, as plain data for JSON."""
+        return {
+            name: {
+                "step_time_mean_ms": mean_step_ms(one.run),
+                "lags": [lag.record() for lag in one.lags],
+            }
+            for name, one in self.scores.items()
+            if one.lags
+        }
+
     def map_agreement(self) -> dict[str, dict[str, list[dict[str, object]]]]:
         """Landmark by landmark between two runs, by depth and by views, as plain data for JSON."""
         return {
@@ -126,6 +137,11 @@ def _statistics(name: str, scores: RunScores) -> Iterator[tuple[Entry, Statistic
 def _plain(row: Bin) -> dict[str, object]:
     """Plain data in which what is no number is null."""
     return {key: value if np.isfinite(value) else None for key, value in asdict(row).items()}
+
+
+def mean_step_ms(run: Run) -> float | None:
+    """Mean time of a step of a run [ms]; None where it is not known."""
+    return float(1e3 * run.cost.step_time.mean()) if len(run.cost.step_time) else None
 
 
 def headline(reference: Reference) -> str:

@@ -58,6 +58,11 @@ def of_statistic(name: str) -> MetricSpec:
     return METRICS[name] if name in METRICS else METRICS[f"{name}_per_dof"]
 
 
+def at_lag(key: str, lag: str) -> str:
+    """Key of a metric of the poses as known at a lag, a number of frames or ``all``."""
+    return f"{key}_lag_{lag}"
+
+
 def with_unit(title: str, unit: str) -> str:
     """A title with its unit, if it has one."""
     return f"{title} [{unit}]" if unit else title
@@ -92,6 +97,20 @@ _ALL = (
 )
 METRICS = {spec.key: spec for spec in _ALL}
 """Metrics that are shown by a name of their own, in the order of the tables."""
+_RELATIVE = (
+    MetricSpec("rpe_1s_rmse", "RPE over 1 s", "m", 3, "less"),
+    MetricSpec("displacement_1s_rmse", "error of displacements over 1 s", "m", 3, "less"),
+)
+LAG_METRICS = {
+    spec.key: spec
+    for spec in (
+        *(METRICS[key] for key in ("ate_rmse", "ate_planar_rmse")),
+        *_RELATIVE,
+        *(METRICS[key] for key in ("held_out_median", "nees_pose")),
+        *(METRICS[key] for key in ("nees_position_planar", "nees_position_aligned")),
+    )
+}
+"""Metrics of the poses as known at a lag, in the order of the tables."""
 ESTIMATE_TITLES: dict[Estimate, str] = {
     "filtered": "filtered (as known at each frame)",
     "smoothed": "smoothed (as known in the end)",

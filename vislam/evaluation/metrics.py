@@ -10,6 +10,7 @@ from vislam.core.run import Estimate, Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
 from vislam.evaluation.maps import MapDifference
+from vislam.evaluation.metric import LAG_METRICS, at_lag
 from vislam.evaluation.normalised import MULTIPLES, Normalised
 from vislam.evaluation.scores import EstimatePair, EstimateScores, PairScores, RunScores
 from vislam.evaluation.statistics import Statistic
@@ -64,6 +65,20 @@ def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
             yield Metric(name, key, value, unit, reference, convention)
     for key, value, unit in (*_cost(scores.run), *_innovations(scores)):
         yield Metric(name, key, value, unit)
+    yield from _lags(scores, reference)
+
+
+def _lags(scores: RunScores, reference: str) -> Iterator[Metric]:
+    """Metrics of the poses as known at each lag."""
+    name = scores.run.name
+    for lag in scores.lags:
+        told = "from all data" if lag.frames is None else f"as known {lag.frames} frames later"
+        for key, value in lag.values.items():
+            spec = LAG_METRICS[key]
+            against = "" if key == "held_out_median" else reference
+            yield Metric(name, at_lag(key, lag.label), value, spec.unit or "1", against, f"poses {told}")
+    if scores.lags:
+        yield Metric(name, "frame_period_s", float(np.median(np.diff(scores.run.stamp))), "s")
 
 
 def _against(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:

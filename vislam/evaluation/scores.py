@@ -1,6 +1,6 @@
 """Everything that is known of a run, and of two: arrays, which metrics sum up and figures show."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
 from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
+from vislam.evaluation.lag import LagScores, score_lags
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
 from vislam.evaluation.normalised import Normalised
 from vislam.evaluation.statistics import Statistic, Whiteness
@@ -83,6 +84,8 @@ class RunScores:
         Of the NIS.
     bias : Normalised or None
         Errors of the filtered bias beside what was claimed of them.
+    lags : sequence of LagScores
+        Of the poses as known at each lag; empty where that was not asked for.
     """
 
     run: Run
@@ -90,6 +93,7 @@ class RunScores:
     nis: Statistic | None
     whiteness: Whiteness | None
     bias: Normalised | None
+    lags: Sequence[LagScores] = ()
 
     @property
     def final(self) -> EstimateScores:
@@ -176,6 +180,7 @@ def score_run(run: Run, record: Record) -> RunScores:
         nis=normalised.nis_statistic(run),
         whiteness=normalised.nis_whiteness(run),
         bias=None if true_bias is None else normalised.bias_errors(run, true_bias),
+        lags=score_lags(run, record),
     )
 
 

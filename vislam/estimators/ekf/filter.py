@@ -12,6 +12,7 @@ from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.estimators.ekf import backward, chart, motion
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
+from vislam.estimators.ekf.lagged import LastPoses
 from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
@@ -56,6 +57,7 @@ class EkfEstimator:
         if options.finished == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = Unobservable(layout.size) if options.observability else None
+        self._last = None if problem.lags is None else LastPoses(problem.lags)
         self.information = {
             "noise of the tracks": "independent" if self._independent else "drift and match error as states",
             "kernel": kernel_name(problem.kernel),
@@ -73,8 +75,10 @@ class EkfEstimator:
             steps = self._recorder.latest
         else:
             steps = []
-            self.state.steps = steps if self._meter is not None else None
+            self.state.steps = steps if self._meter is not None or self._last is not None else None
             record = self._advance(self.state, frame)
+        if self._last is not None:
+            self._last.follow(steps, self.state)
         return record if self._meter is None else replace(record, world_gained=self._meter.follow(steps))
 
     def finalize(self) -> Final:
@@ -83,19 +87,23 @@ class EkfEstimator:
         poses, counts = None, {}
         if self._problem.kernel is not None:
             counts["reweightings_not_converged"] = len(self._unsettled)
+        lagged = {} if self._last is None else self._last.poses()
         if self._recorder is None:
             landmarks = Landmarks.join(self._left)
         else:
             found = self.smooth()
             landmarks = found.landmarks
             counts["frames_computed_again"] = self._recorder.again
-            if self._options.smoothed:
-                poses = trajectory.Poses(found.world_T_imu, found.pose_cov)
+            every = trajectory.Poses(found.world_T_imu, found.pose_cov)
+            poses = every if self._options.smoothed else None
+            if lagged:
+                lagged[len(every) - 1] = every
         return Final(
             trajectory=poses,
             map=trajectory.Landmarks(landmarks.track, landmarks.points_world, landmarks.points_cov),
             counts=counts,
             up=self._motion.up(self._layout, self.state.nav),
+            lagged=lagged,
         )
 
     def smooth(self) -> Smoothed:
@@ -128,7 +136,7 @@ class EkfEstimator:
         new = usable.copy()
         new[rows] = False
         self._initialise(state, frame, new)
-        if self._options.smoothed:
+        if self._options.smoothed or self._last is not None:
             state.note_pose()
         used, all_gated = new, np.zeros(len(frame.stereo.track), bool)
         used[rows[fused]] = True

@@ -1,12 +1,16 @@
 """Smoothing SLAM, one frame at a time, with GTSAM doing the solving."""
 
 import logging
+from contextlib import suppress
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.core.estimator import Problem
 from vislam.core.frame import Frame
+from vislam.core.lagged import LagReader
 from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.smoother import motion
@@ -41,6 +45,10 @@ class SmootherEstimator:
 
     def __init__(self, problem: Problem, options: SmootherOptions) -> None:
         self.tell: Tell = _log.info
+        if problem.lags is not None:
+            # A change that is left alone as small would be missing from the poses that are read later.
+            options = replace(options, wildfire_threshold=0.0)
+        self._lags = None if problem.lags is None else LagReader(problem.lags)
         self._problem, self._options = problem, options
         kernel = problem.kernel if options.plain else None
         self._gaussian = options.plain and kernel is None
@@ -83,6 +91,8 @@ class SmootherEstimator:
         self._recovery.go_on(frame)
         seen = [track for track in now if track.id in solver.tracks.in_view]
         solver.find_astray(seen)
+        if self._lags is not None:
+            self._lags.take(frame.k, self._read)
         every = self._options.pose_cov_every
         known = every > 0 and frame.k % every == 0
         bias = State(*self._motion.bias(solver.engine, frame, with_sigma=known))
@@ -96,6 +106,7 @@ class SmootherEstimator:
     def finalize(self) -> Final:
         """Return all poses and landmarks, after what the options ask for in the end."""
         options, solver = self._options, self._solver
+        lagged = {} if self._lags is None else self._lags.finish(self._read)
         tracks = solver.tracks.landmarks
         pose_cov = points_cov = fit = None
         if options.lag_s is not None:
@@ -133,7 +144,20 @@ class SmootherEstimator:
             ),
             events=tuple(self._recovery.events + self._events),
             fit=fit,
+            lagged=lagged,
         )
+
+    def _read(self, k: int, with_cov: bool) -> tuple[Array, Array | None]:
+        """Pose of a frame as known now, or as it was when it left a lag, which leaves no covariance."""
+        solver = self._solver
+        if k < solver.held().start:
+            return solver.left[k], None
+        cov = None
+        if with_cov:
+            # What cannot be told of a covariance beside a marginal is no fault of the estimate.
+            with suppress(IndeterminateError):
+                cov = solver.engine.covariance(X(k))
+        return solver.engine.pose(X(k)), cov
 
     def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""
