@@ -16,6 +16,7 @@ from vislam.base.progress import Progress
 from vislam.base.types import Array
 from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
+from vislam.comparison.bounding import drive_bound, refuse_unbounded
 from vislam.comparison.config import LIST_MAKER, Config
 from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
@@ -177,6 +178,7 @@ def prepare(
         If an estimator that the list of observations is to come from is incomplete.
     """
     require_usable(dataset)
+    refuse_unbounded(config)
     found = members(config)
     estimators = build_estimators(config, dataset, found, listed=bool(config.frozen_by))
     for note in dataset.notes:
@@ -206,7 +208,9 @@ def prepare(
                 raise
             progress.note(f"{failure}; each run is given all observations and gates for itself")
             estimators = build_estimators(config, dataset, found)
-    record = _record(dataset, Tracks.of(dataset.sequence, sigma), kept_back, frozen=frozen)
+    given = Tracks.of(dataset.sequence, sigma)
+    bound = drive_bound(config, dataset, given)
+    record = replace(_record(dataset, given, kept_back, frozen=frozen), bound=bound)
     return Prepared(config, record, runner, estimators)
 
 

@@ -206,6 +206,9 @@ class Config:
     what all data say is added. Empty: none is. It takes time at each frame."""
     lag_cov_every: Annotated[int, Field(ge=1)] = 10
     """Frames between two whose covariances are read at each lag, for the NEES."""
+    bound: bool = False
+    """Compute the least that any estimator can err by, and hold all against it. Of a simulated drive alone,
+    whose noise is drawn as ``noise`` tells it and that has no fault."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Seed = 0

@@ -11,6 +11,7 @@ from vislam.base.errors import DataError
 from vislam.base.legible import brief
 from vislam.base.types import Array, IntArray
 from vislam.core.archive import read_archive, write_archive
+from vislam.core.bound import Bound
 from vislam.core.observation_set import FrozenList
 from vislam.core.reference import Reference
 from vislam.core.run import Run
@@ -79,6 +80,11 @@ _TABLE: Table = {
     "frozen.digest": Plain(str),
     "provenance": Plain(dict[str, str]),
     "step_twist": real("T 6", gaps=True, optional=True, later=True),
+    "bound": Section(optional=True, later=True),
+    "bound.filtered": real("T 6 6"),
+    "bound.smoothed": real("T 6 6"),
+    "bound.filtered_error": real("T 6"),
+    "bound.smoothed_error": real("T 6"),
 }
 """The fields of a saved record: type, shape and range of each, a letter for each size."""
 
@@ -135,6 +141,8 @@ class Record:
         When, on what and with which versions the runs were made.
     step_twist : (T, 6) or None
         Mean inertial twist (omega, v) over the step that ends at each frame [rad/s, m/s].
+    bound : Bound or None
+        The least that any estimator can err by; None where it was not asked for.
     """
 
     name: str
@@ -151,6 +159,7 @@ class Record:
     frozen: FrozenList | None
     provenance: dict[str, str]
     step_twist: Array | None = None
+    bound: Bound | None = None
 
     def save(self, path: Path) -> None:
         """Write the record, whole or not at all."""
@@ -161,9 +170,9 @@ class Record:
         """Read a saved record; a DataError says what is wrong with it."""
         tree = read_archive(path, _TABLE, what=_WHAT)
         kinds = {"rig": StereoRig, "reference": Reference, "frozen": FrozenList}
-        kinds |= {"given": Tracks, "held_out": Tracks}
+        kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound}
         for name, kind in kinds.items():
-            tree[name] = None if tree[name] is None else kind(**tree[name])
+            tree[name] = None if tree.get(name) is None else kind(**tree[name])
         found = cls(**tree)
         if found.reference is not None and not _is_whole(found.reference):
             raise DataError(

@@ -89,6 +89,8 @@ def _against(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:
     yield from _map(scores)
     for name, claim in scores.claims.items():
         yield from _claim(claim, scores.statistics[name])
+    if scores.efficiency is not None:
+        yield from scores.efficiency.metrics()
 
 
 def _headline(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str]]:

@@ -14,6 +14,7 @@ from vislam.core.trajectory import Poses
 from vislam.evaluation import maps, normalised
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
 from vislam.evaluation.degenerate import degeneracies
+from vislam.evaluation.efficiency import Efficiency, efficiency
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.lag import LagScores, score_lags
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
@@ -51,6 +52,8 @@ class EstimateScores:
         By the tracks that no estimator was given.
     degenerate : tuple of str
         Why it is no answer to the data, and not to be ranked; empty for a sound estimate.
+    efficiency : Efficiency or None
+        None for a drive whose bound was not computed.
     """
 
     poses: Poses
@@ -61,6 +64,7 @@ class EstimateScores:
     map_aligned: MapErrors | None
     held_out: HeldOutScore | None
     degenerate: tuple[str, ...] = ()
+    efficiency: Efficiency | None = None
 
     @cached_property
     def statistics(self) -> dict[str, Statistic]:
@@ -208,6 +212,7 @@ def _score_estimate(run: Run, estimate: Estimate, record: Record) -> EstimateSco
             else None
         ),
         degenerate=degeneracies(run, record, estimate),
+        efficiency=efficiency(run, reference, record.bound, estimate),
     )
 
 
