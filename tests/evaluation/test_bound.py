@@ -26,14 +26,24 @@ def drive(rng) -> TrueDrive:
     for _ in range(FRAMES - 1):
         pose.append(pose[-1] @ se3.exp(DT * twist))
     pose = np.array(pose)
-    bias = np.cumsum(np.vstack([PRIOR.sigma, np.full((FRAMES - 1, 6), 3e-4)]) * rng.standard_normal((FRAMES, 6)), 0)
-    step = twist + np.vstack([bias[:1], bias[:-1]]) + NOISE.twist / np.sqrt(DT) * rng.standard_normal((FRAMES, 6))
-    points = np.column_stack([rng.uniform(10, 40, POINTS), rng.uniform(-8, 8, (POINTS, 1)), rng.uniform(-2, 4, POINTS)])
+    bias = np.cumsum(
+        np.vstack([PRIOR.sigma, np.full((FRAMES - 1, 6), 3e-4)]) * rng.standard_normal((FRAMES, 6)), 0
+    )
+    step = (
+        twist
+        + np.vstack([bias[:1], bias[:-1]])
+        + NOISE.twist / np.sqrt(DT) * rng.standard_normal((FRAMES, 6))
+    )
+    points = np.column_stack(
+        [rng.uniform(10, 40, POINTS), rng.uniform(-8, 8, (POINTS, 1)), rng.uniform(-2, 4, POINTS)]
+    )
     seen = [(k, j) for k in range(FRAMES) for j in range(POINTS) if j // 3 <= k < j // 3 + 4]
     seen = [(k, j) for k, j in seen if not (j in (2, 7) and k == j // 3 + 1) and not (j == 4 and k > 1)]
     frame, track = np.array(seen).T
     sigma = np.broadcast_to([0.5, 0.5, 0.4], (len(frame), 3))
-    cam = np.concatenate([se3.transform(rig.cam_T_imu @ se3.inverse(pose[k]), points[j, None]) for k, j in seen])
+    cam = np.concatenate(
+        [se3.transform(rig.cam_T_imu @ se3.inverse(pose[k]), points[j, None]) for k, j in seen]
+    )
     z = rig.project(cam) + sigma * rng.standard_normal((len(frame), 3))
     tracks = Tracks(frame, track, z, sigma)
     return TrueDrive(DT * np.arange(FRAMES), pose, bias, step, tracks, points[track], rig)
@@ -58,7 +68,9 @@ def residuals(drive: TrueDrive, x: np.ndarray, *, until: int) -> np.ndarray:
     for row in np.flatnonzero(tracks.frame <= until):
         point = drive.point[row] + shift[tracks.track[row]]
         camera = drive.rig.cam_T_imu @ se3.inverse(poses[tracks.frame[row]])
-        found.append((tracks.z[row] - drive.rig.project(se3.transform(camera, point[None])[0])) / tracks.sigma[row])
+        found.append(
+            (tracks.z[row] - drive.rig.project(se3.transform(camera, point[None])[0])) / tracks.sigma[row]
+        )
     return np.concatenate(found)
 
 
@@ -106,4 +118,6 @@ def test_less_data_raise_it(drive):
     tracks = Tracks(*(getattr(drive.tracks, name)[fewer] for name in ("frame", "track", "z", "sigma")))
     found = bound(replace(drive, tracks=tracks, point=drive.point[fewer]), NOISE, PRIOR)
     more = bound(drive, NOISE, PRIOR)
-    assert (np.trace(found.smoothed[1:], axis1=1, axis2=2) > np.trace(more.smoothed[1:], axis1=1, axis2=2)).all()
+    assert (
+        np.trace(found.smoothed[1:], axis1=1, axis2=2) > np.trace(more.smoothed[1:], axis1=1, axis2=2)
+    ).all()

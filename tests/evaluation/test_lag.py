@@ -95,11 +95,15 @@ def made(*errors: float) -> list[LagScores]:
         ((4.0, 4.0, 2.0, 2.0, 2.0), 0.3),
         ((4.0, 4.0, 4.0, 2.5, 1.0), 1.0),
         ((4.0, 4.0, 4.0, 4.0, 1.0), None),
-        ((4.0, 4.0, 4.0, 4.0, 4.0), None),
-        ((4.0, 4.0, 4.0, 4.0, 5.0), None),
     ],
 )
 def test_half_of_the_gain_comes_where_the_lines_say(errors, seconds):
     found = half_time(made(*errors), "ate_rmse")
-    assert (found is None) == (seconds is None)
-    assert found is None or found == (pytest.approx(seconds), errors[0], errors[-1])
+    assert found.seconds == (None if seconds is None else pytest.approx(seconds))
+    assert (found.longest, found.filtered, found.smoothed) == (1.0, errors[0], errors[-1])
+
+
+@pytest.mark.parametrize("last", [3.99, 4.0, 5.0])
+def test_of_nothing_there_is_no_half(last):
+    assert half_time(made(4.0, 4.0, 4.0, 4.0, last), "ate_rmse") is None
+    assert half_time(made(4.0, 4.0, 4.0, 4.0, 1.0), "held_out_median") is None

@@ -1,9 +1,9 @@
 """The posterior Cramer-Rao bound of a simulated drive: all that its data can tell of the poses.
 
 The information of a graph whose factors are linearised at the truth, with residuals ``r_i = n_i - J_i e`` of
-covariance ``R_i``, is ``sum_i J_i^T R_i^-1 J_i``, and no unbiased estimate has a smaller covariance than its
-inverse: Tichavsky, Muravchik and Nehorai, *Posterior Cramer-Rao bounds for discrete-time nonlinear filtering*,
-IEEE Trans. Signal Processing 46 (1998) 1386-1396. The factors are
+covariance ``R_i``, is ``sum_i J_i^T R_i^-1 J_i``, and no unbiased estimate has a smaller covariance than
+its inverse: Tichavsky, Muravchik and Nehorai, *Posterior Cramer-Rao bounds for discrete-time nonlinear
+filtering*, IEEE Trans. Signal Processing 46 (1998) 1386-1396. The factors are
 
 * ``z - h(T_k, p_j)``, stereo sightings of landmarks of which nothing is known beforehand;
 * ``u_k - (log(T_{k-1}^-1 T_k) / dt + b_{k-1})``, the recorded twist of a step;
@@ -36,7 +36,7 @@ _POSE, _BIAS, _NAV = slice(0, 6), slice(6, 12), 12
 _KNOWN = 1e-9
 """Spread of the first pose, which is known [rad, m]."""
 SMALLEST_WALK = 1e-6
-"""Walks below this count as this [rad/s/sqrt(s), m/s/sqrt(s)]: with less, the information of a step drowns."""
+"""Walks below this count as this [rad/s/sqrt(s), m/s/sqrt(s)]: with less, a step's information drowns."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """How near the errors of an estimate come to the bound (:mod:`vislam.evaluation.bound`).
 
 The squared error of one drive is a matter of luck: of the drift of its heading there is one draw. What the
-linear estimator that attains the bound errs by on the same noise has the same luck, and its expected square is
-the bound itself. So the excess of an estimate's squared error over that one's, in parts of the bound, has the
-expectation of ``squared error / bound - 1`` and a hundredth of its variance.
+linear estimator that attains the bound errs by on the same noise has the same luck, and its expected square
+is the bound itself. So the excess of an estimate's squared error over that one's, in parts of the bound, has
+the expectation of ``squared error / bound - 1`` and a small part of its variance.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ class Efficiency:
         return float(np.sum(self.error[:, PARTS[part]] ** 2) / self._bound(part))
 
     def excess(self, part: str) -> float:
-        """How much larger it is than that of who attains the bound on the same noise, in parts of the bound."""
+        """How much more it is than that of who attains the bound on the same noise, in parts of the bound."""
         own, other = self.error[:, PARTS[part]], self.attained[:, PARTS[part]]
         return float((np.sum(own**2) - np.sum(other**2)) / self._bound(part))
 

@@ -113,15 +113,28 @@ def _nees(run: Run, reference: Reference) -> Statistic | None:
     return None if planar is None else planar.statistic()
 
 
-def half_time(lags: Sequence[LagScores], key: str) -> tuple[float, float, float] | None:
-    """When half of what smoothing takes off an error has come, by straight lines between the lags.
+@dataclass(frozen=True)
+class Half:
+    """When half of what smoothing takes off an error has come.
 
-    Returns
-    -------
-    seconds, filtered, smoothed : float
-        The lag [s], and the error without later data and with all; None where smoothing takes off next to
-        nothing, or half of it comes later than the longest lag.
+    Attributes
+    ----------
+    seconds : float or None
+        The lag, by straight lines between those that were read [s]; None: later than the longest of them.
+    longest : float
+        That one [s].
+    filtered, smoothed : float
+        The error without later data, and with all.
     """
+
+    seconds: float | None
+    longest: float
+    filtered: float
+    smoothed: float
+
+
+def half_time(lags: Sequence[LagScores], key: str) -> Half | None:
+    """Find when half of the gain has come; None where smoothing takes off next to nothing."""
     known = [(one.seconds, one.errors[key]) for one in lags if key in one.errors]
     if len(known) < 2 or known[0][0] != 0.0 or known[-1][0] is not None:
         return None
@@ -131,7 +144,8 @@ def half_time(lags: Sequence[LagScores], key: str) -> tuple[float, float, float]
     at = np.array([seconds for seconds, _ in known[:-1]], float)
     error = np.array([value for _, value in known[:-1]])
     place = _first_crossing(error, 0.5 * (first + last))
-    return None if place is None else (float(np.interp(place, np.arange(len(at)), at)), first, last)
+    seconds = None if place is None else float(np.interp(place, np.arange(len(at)), at))
+    return Half(seconds, float(at[-1]), first, last)
 
 
 def _first_crossing(error: Array, target: float) -> float | None:

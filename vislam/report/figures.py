@@ -13,7 +13,7 @@ from vislam.base.legible import literal
 from vislam.base.types import Array
 from vislam.core.run import ESTIMATES
 from vislam.evaluation.trajectory import distance_driven
-from vislam.report import consistency_figures, error_figures
+from vislam.report import consistency_figures, error_figures, limit_figures
 from vislam.report.shown import Shown
 from vislam.report.top_view import top_view
 
@@ -163,7 +163,7 @@ def step_time(shown: Shown) -> Figure:
     return figure
 
 
-OF_AN_ESTIMATE = ("error", "bands", "nees", "coverage", "segments", "distances", "parting", "cost")
+OF_AN_ESTIMATE = ("error", "bands", "nees", "coverage", "bound", "segments", "distances", "parting", "cost")
 """Figures that hold runs against each other, and so are drawn of the filtered and of the smoothed apart."""
 FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
     "top_view": (
@@ -208,6 +208,18 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
         "Coverage",
         "Share of the errors that lie within what was claimed, against the share that should: below the "
         "diagonal too much is claimed.",
+    ),
+    "bound": (
+        limit_figures.bound,
+        "Errors and the bound",
+        "Length of the errors of rotation and position since the first frame, and the least root mean square "
+        "that any estimator can have over many drives. On one drive luck decides on which side a line lies.",
+    ),
+    "lag_curve": (
+        limit_figures.lag_curve,
+        "What waiting buys",
+        "Each metric of the poses as known some time later, from the filtered ones at 0 to the smoothed ones "
+        "of all data.",
     ),
     "segments": (
         error_figures.segment_errors,

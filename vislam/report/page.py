@@ -22,6 +22,7 @@ from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
     counts_table,
+    lags_table,
     maps_table,
     pairs_table,
     repairs_table,
@@ -79,6 +80,7 @@ def write_page(
         pairs=pairs_table(evaluation),
         maps=maps_table(evaluation),
         worst=worst_table(evaluation),
+        lags=lags_table(evaluation),
         figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in figures.items()],
         scene=htmlsafe_json_dumps(scene) if scene else "",
         scene_note=_scene_note(scene) if scene else "",

@@ -8,7 +8,8 @@ from vislam.core.run import Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.evaluation.metric import METRICS
+from vislam.evaluation.evaluate import mean_step_ms
+from vislam.evaluation.metric import LAG_METRICS, METRICS
 from vislam.evaluation.trajectory_scores import WORST_LENGTH
 from vislam.report.table import Table
 
@@ -87,6 +88,25 @@ def maps_table(evaluation: Evaluation) -> Table:
 
 def _number(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
+
+
+def lags_table(evaluation: Evaluation) -> Table:
+    """A row for each run and lag: what the poses are worth that are known so much later."""
+    scored = {name: one for name, one in evaluation.scores.items() if one.lags}
+    found = {key for one in scored.values() for lag in one.lags for key in lag.values}
+    specs = [spec for key, spec in LAG_METRICS.items() if key in found]
+    rows = []
+    for name, one in scored.items():
+        step = mean_step_ms(one.run)
+        for lag in one.lags:
+            values = [lag.values.get(spec.key) for spec in specs]
+            told = [
+                "-" if v is None else f"{v:.{spec.digits}f}" for v, spec in zip(values, specs, strict=True)
+            ]
+            seconds = "all" if lag.seconds is None else f"{lag.seconds:.2f}"
+            rows.append([name, lag.label, seconds, *told, "-" if step is None else f"{step:.1f}"])
+    header = ["estimator", "lag [frames]", "lag [s]", *(spec.short_label for spec in specs)]
+    return Table([*header, "mean step time, all lags read [ms]"], rows)
 
 
 def worst_table(evaluation: Evaluation) -> Table:

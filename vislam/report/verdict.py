@@ -9,6 +9,7 @@ from vislam.core.reference import Reference
 from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.evaluate import headline
+from vislam.evaluation.lag import half_time
 from vislam.evaluation.metric import METRICS, of_statistic
 from vislam.evaluation.statistics import Statistic
 
@@ -53,6 +54,7 @@ def verdict(
             told += block.told(part(block))
     for block in blocks:
         told += block.told(*block.partings())
+    told += _waiting(runs, evaluation, reference)
     for block in blocks:
         told += block.told(block.cost())
     return told
@@ -188,6 +190,28 @@ class _Block:
         spec = METRICS["total_time_s"]
         ranked = self._ranked(spec.key)
         return f"{spec.title} {_listed(ranked, spec.digits, spec.unit)}." if ranked else ""
+
+
+def _waiting(runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None) -> Iterator[str]:
+    """Say of each run within which time half of what smoothing buys has come."""
+    keys = ([] if reference is None else [headline(reference)]) + ["held_out_median"]
+    for name, one in evaluation.scores.items():
+        if not one.lags or not runs[name].complete:
+            continue
+        told = []
+        for key in keys:
+            half, spec = half_time(one.lags, key), METRICS[key]
+            if half is None:
+                continue
+            when = (
+                f"later than {half.longest:.2g} s" if half.seconds is None else f"within {half.seconds:.2g} s"
+            )
+            ends = f"{half.filtered:.{spec.digits}f} to {half.smoothed:.{spec.digits}f} {spec.unit}"
+            told.append(f"{when} of the {spec.short_title} ({ends})")
+        if told:
+            yield f"{name}: half of what smoothing buys comes {' and '.join(told)}."
+        else:
+            yield f"{name}: smoothing buys less than a hundredth of its errors, however long one waits."
 
 
 def _without_camera(runs: Mapping[str, Run], evaluation: Evaluation, key: str) -> tuple[str, float] | None:

@@ -23,6 +23,7 @@ from vislam.study.connection import WorkersGone
 from vislam.study.folder import StudyFolder, told
 from vislam.study.page.ablation import DETAILS, short_table
 from vislam.study.page.labels import ERRORS, TIME, errors
+from vislam.study.page.limits import BOUND, bound_table, keys_of_lags
 from vislam.study.page.page import write_study_page
 from vislam.study.page.tables import CLAIMS, ranking_table
 from vislam.study.plan import Plan
@@ -33,7 +34,7 @@ from vislam.study.trials import Trials
 SCHEMA_VERSION = 1
 _STARTS = 4
 """How often workers of this machine are started, the first time included."""
-_SHOWN = frozenset((*ERRORS, *DETAILS, *CLAIMS, TIME, NEES, COVERAGE))
+_SHOWN = frozenset((*ERRORS, *DETAILS, *CLAIMS, *BOUND, TIME, NEES, COVERAGE))
 """Metrics that the table and the page look at: a trial has hundreds, and each costs memory."""
 
 
@@ -109,7 +110,9 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
     counts: Counter[str] = Counter()
     ranking = plan.study.ranking
     ranked = () if ranking is None else (ranking.by, *ranking.errors)
-    trials = Trials.of_records(_records(plan, folder, counts), keys=_SHOWN.union(ranked))
+    trials = Trials.of_records(
+        _records(plan, folder, counts), keys=_SHOWN.union(ranked, keys_of_lags(plan.config.lags))
+    )
     lost = len(plan.points) * plan.study.seeds - len(trials)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -166,6 +169,10 @@ def _show(plan: Plan, trials: Trials, progress: Progress, *, title: str) -> None
         for estimate in trials.estimates:
             rows = rows_of(trials.of(estimate))
             progress.rows(HEADER, rows, title=f"{title}, {ESTIMATE_TITLES[estimate]}")
+    for estimate in trials.estimates:
+        table = bound_table(trials.of(estimate))
+        if table.rows:
+            progress.rows(table.header, table.rows, title=f"against the bound, {ESTIMATE_TITLES[estimate]}")
     if plan.study.ranking is not None:
         table = ranking_table(trials, plan.study.ranking)
         progress.rows(table.header, table.rows, title="ranks of the runs of a seed")

@@ -13,6 +13,7 @@ from vislam.report.shown import colours
 from vislam.study.answers import NEES, failure_rate, median, pooled_nees
 from vislam.study.intervals import Estimate
 from vislam.study.page.labels import TIME, errors, metric_label, parameter_label, plain
+from vislam.study.page.limits import bound_figure, lag_curve
 from vislam.study.page.maps import heat_map
 from vislam.study.trials import Trials, is_number
 
@@ -207,7 +208,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
 
 
-_OF_RUNS = ("failures",)
+_OF_RUNS = ("failures", "lag_curve")
 """Figures of runs as a whole."""
 FIGURES: dict[str, tuple[Callable[[Trials], Figure | None], str, str]] = {
     "response": (
@@ -227,6 +228,18 @@ FIGURES: dict[str, tuple[Callable[[Trials], Figure | None], str, str]] = {
         "Consistency",
         "Normalised squared error of the pose per degree of freedom: a dot for the average of each trial, "
         "and their mean with its 95 % interval. Above 1 an estimator is farther off than it claims.",
+    ),
+    "bound": (
+        bound_figure,
+        "Excess over the bound",
+        "By how much the mean squared error of each estimator exceeds the least there can be, with its 95 % "
+        "interval; the axis is linear to 1 %. At 0 nobody can do better.",
+    ),
+    "lag_curve": (
+        lag_curve,
+        "What waiting buys",
+        "Mean of each metric of the poses as known some time later, from the filtered ones at 0 to the "
+        "smoothed ones of all data, with 95 % intervals as bands.",
     ),
     "failures": (
         failures,

@@ -19,6 +19,7 @@ from vislam.study.answers import CLAIMED, trial_bound
 from vislam.study.page import ablation as study_ablation
 from vislam.study.page.figures import all_figures
 from vislam.study.page.labels import errors
+from vislam.study.page.limits import bound_table, lags_table
 from vislam.study.page.tables import (
     consistency_table,
     errors_table,
@@ -79,6 +80,8 @@ def write_study_page(
         ablation=tables,
         errors=_blocks(trials, errors_table),
         consistency=_blocks(trials, consistency_table),
+        bounds=_blocks(trials, bound_table),
+        lags=lags_table(trials),
         ranking=Table([], []) if ranking is None else ranking_table(trials, ranking),
         pairs=_blocks(trials, pairs_table) if ablation is None else [],
         failures=failures_table(trials),

@@ -14,6 +14,7 @@ from vislam.study.page.labels import (
     setting,
     with_interval,
 )
+from vislam.study.page.limits import against_bound, waiting
 from vislam.study.trials import Trials, is_number
 
 _SURE = 0.05
@@ -27,6 +28,8 @@ def verdict(trials: Trials) -> list[str]:
     blocks = [trials.of(estimate) for estimate in trials.estimates]
     told = [_extent(trials), _failures(trials), *(_of(block, _accuracy(block)) for block in blocks)]
     told += [_of(block, consistency(block, name)) for block in blocks for name in block.complete]
+    told += [_of(block, sentence) for block in blocks for sentence in against_bound(block)]
+    told += waiting(trials)
     return [sentence for sentence in told if sentence]
 
 
