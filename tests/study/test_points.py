@@ -46,6 +46,20 @@ def test_a_grid_combines_each_value_with_each():
     assert found == [(0.5, 20), (0.5, 30), (0.5, 40), (1.0, 20), (1.0, 30), (1.0, 40)]
 
 
+def test_around_a_config_one_value_differs_at_a_time(short_config):
+    own = short_config.noise.pixel_sigma_px
+    study = StudyConfig(around={PIXELS: (0.7, 0.9), "held_out.seed": (1,)})
+    points = all_points(short_config, study)
+    found = [tuple(point.values.values()) for point in points]
+    assert found == [(own, 0), (0.7, 0), (0.9, 0), (own, 1)]
+    assert configuration.parse(Config, points[0].tree) == short_config
+    off = StudyConfig(around={"data.repair.clock.offset": (0.1,)})
+    with pytest.raises(ConfigError, match="has, got data.repair.clock.offset; switch its section on"):
+        all_points(short_config, off)
+    with pytest.raises(ConfigError, match="got the same one twice"):
+        all_points(short_config, StudyConfig(around={PIXELS: (own,)}))
+
+
 def test_without_a_sweep_the_config_is_the_one_point(short_config):
     (point,) = all_points(short_config, StudyConfig())
     assert point.values == {}

@@ -406,7 +406,7 @@ BAD = {
     "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are defects, grid"),
     "grid and cube": (
         ["--set", "study.latin_hypercube={samples: 2, ranges: {noise.drift_px: [0, 1]}}"],
-        "study: one of grid, latin_hypercube and defects",
+        "study: one of grid, around, latin_hypercube and defects",
     ),
     "swept key": (["--set", "study.grid={noise.drift: [1]}"], "study: noise.drift: unknown key"),
     "option": (["--set", "study.grid={estimators.ekf.gates: [true]}"], "estimators.ekf.gates: unknown key"),

@@ -88,7 +88,7 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
     ConfigError
         If the config takes one of them not, or if two of them are the same.
     """
-    swept = [*study.grid, *(study.latin_hypercube.ranges if study.latin_hypercube else {})]
+    swept = [*study.grid, *study.around, *(study.latin_hypercube.ranges if study.latin_hypercube else {})]
     for path in (*swept, *(path for values in study.defects.values() for path in values)):
         if path.split(".", maxsplit=1)[0] in _NOT_SWEPT:
             raise ConfigError(f"study: {path} cannot be swept")
@@ -98,6 +98,8 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
             Point.of(config, {CASE: label}, changes=changes(study.defects, present))
             for label, present in cases.items()
         ]
+    elif study.around:
+        points = [Point.of(config, values) for values in _one_at_a_time(config, study.around)]
     else:
         points = [Point.of(config, values) for values in point_values(study)]
     _refuse_equal(points)
@@ -131,6 +133,29 @@ def point_values(study: StudyConfig) -> Iterator[dict[str, Any]]:
     unit = qmc.LatinHypercube(len(cube.ranges), rng=cube.seed).random(cube.samples)
     for row in qmc.scale(unit, low, high):
         yield dict(zip(cube.ranges, row.tolist(), strict=True))
+
+
+def _one_at_a_time(config: Config, around: Mapping[str, Sequence[Any]]) -> Iterator[dict[str, Any]]:
+    """The config's own values, then each of the others alone; ConfigError if one has nothing to stand for."""
+    tree = _plain(config)
+    own = {path: _at(tree, path) for path in around}
+    yield own
+    for path, values in around.items():
+        for value in values:
+            yield {**own, path: value}
+
+
+def _at(tree: Mapping[str, Any], path: str) -> Any:
+    """Value of a config by its dotted path."""
+    found: Any = tree
+    for part in path.split("."):
+        if not isinstance(found, Mapping) or part not in found:
+            raise ConfigError(
+                f"study.around: expected the path of a value that the config has, got {path}; "
+                "switch its section on, or leave it out"
+            )
+        found = found[part]
+    return found
 
 
 def all_trials(points: Sequence[Point], *, seeds: range, code: str, data: str = "") -> Iterator[Trial]:

@@ -54,6 +54,9 @@ class StudyConfig:
     grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Values by dotted path in the config; each is combined with each. Two points that are the same, as of 1
     and 1.0, are refused, here and of an ablation."""
+    around: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """Values in place of a grid that are tried one at a time, all else as the config has it; it is a point,
+    too."""
     latin_hypercube: LatinHypercube | None = None
     """Points in place of a grid."""
     defects: dict[str, Annotated[dict[str, Any], Field(min_length=1)]] = Field(default_factory=dict)
@@ -67,5 +70,5 @@ class StudyConfig:
 
     def __post_init__(self) -> None:
         """Refuse two sets of points."""
-        if sum(map(bool, (self.grid, self.latin_hypercube, self.defects))) > 1:
-            raise ValueError("one of grid, latin_hypercube and defects can be given")
+        if sum(map(bool, (self.grid, self.around, self.latin_hypercube, self.defects))) > 1:
+            raise ValueError("one of grid, around, latin_hypercube and defects can be given")
