@@ -8,9 +8,9 @@ has ``P_a + P_b - C - C^T``, where ``C`` is the unknown covariance between the e
 - If b is optimal for all that a has seen, as a smoother is next to the filter of the same model, ``C = P_b``
   and it is ``P_a - P_b``.
 
-One scale serves all pairs here: ``P_a + P_b``. It is generous in the second case and more so in the third. A
-distance beyond its chi-square bound says that at least one run claims too much. One within it says nothing of
-the truth: both may err alike.
+One scale serves all pairs here: ``P_a + P_b``. It is generous in the second case and more so in the third,
+for which :mod:`vislam.evaluation.smoothing` has the sharp test. A distance beyond its chi-square bound says
+that at least one run claims too much. One within it says nothing of the truth: both may err alike.
 """
 
 from dataclasses import dataclass

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from vislam.core.record import Record
 from vislam.core.reference import Reference
 from vislam.core.run import Estimate, Run
 from vislam.evaluation import metrics
+from vislam.evaluation.information import shared_information
 from vislam.evaluation.lookup import Entry, Lookup
 from vislam.evaluation.maps import Bin
 from vislam.evaluation.metrics import Metric
@@ -134,6 +135,13 @@ def _statistics(name: str, scores: RunScores) -> Iterator[tuple[Entry, Statistic
     yield from (((name, key, None), statistic) for key, statistic in scores.statistics.items())
 
 
+def _of_pairs(pairs: Mapping[tuple[str, str], PairScores]) -> Iterator[tuple[Entry, Statistic]]:
+    for pair, scores in pairs.items():
+        statistic = None if scores.smoothing is None else scores.smoothing.statistic()
+        if statistic is not None:
+            yield ("|".join(pair), statistic.name, None), statistic
+
+
 def _plain(row: Bin) -> dict[str, object]:
     """Plain data in which what is no number is null."""
     return {key: value if np.isfinite(value) else None for key, value in asdict(row).items()}
@@ -161,7 +169,11 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
     """
     against = "" if record.reference is None else record.reference.name
     scores = {name: score_run(run, record) for name, run in runs.items() if len(run.stamp) >= _FEWEST}
-    pairs = {(a, b): score_pair(scores[a], scores[b], record) for a, b in combinations(scores, 2)}
+    equal = {item.pair for item in shared_information(runs, record.frozen) if item.equal}
+    pairs = {
+        (a, b): score_pair(scores[a], scores[b], record, equal=(a, b) in equal)
+        for a, b in combinations(scores, 2)
+    }
     found = [metric for one in scores.values() for metric in metrics.of_run(one, against)]
     for (a, b), pair in pairs.items():
         found += metrics.of_pair(scores[a], scores[b], pair)
@@ -169,8 +181,9 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
         metrics=[metric for metric in found if np.isfinite(metric.value)],
         statistics={
             entry: statistic
-            for name, one in scores.items()
-            for entry, statistic in _statistics(name, one)
+            for entry, statistic in chain(
+                *(_statistics(name, one) for name, one in scores.items()), _of_pairs(pairs)
+            )
             if np.isfinite(statistic.value)
         },
         scores=scores,

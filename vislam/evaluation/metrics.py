@@ -13,6 +13,7 @@ from vislam.evaluation.maps import MapDifference
 from vislam.evaluation.metric import LAG_METRICS, at_lag
 from vislam.evaluation.normalised import MULTIPLES, Normalised
 from vislam.evaluation.scores import EstimatePair, EstimateScores, PairScores, RunScores
+from vislam.evaluation.smoothing import TOLERANCE, SmoothingDifference
 from vislam.evaluation.statistics import Statistic
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
 from vislam.geometry import se3
@@ -66,6 +67,8 @@ def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
     for key, value, unit in (*_cost(scores.run), *_innovations(scores)):
         yield Metric(name, key, value, unit)
     yield from _lags(scores, reference)
+    for key, value, convention in _smoothing(scores.smoothing):
+        yield Metric(name, key, value, "1", convention=convention)
 
 
 def _lags(scores: RunScores, reference: str) -> Iterator[Metric]:
@@ -79,6 +82,22 @@ def _lags(scores: RunScores, reference: str) -> Iterator[Metric]:
             yield Metric(name, at_lag(key, lag.label), value, spec.unit or "1", against, f"poses {told}")
     if scores.lags:
         yield Metric(name, "frame_period_s", float(np.median(np.diff(scores.run.stamp))), "s")
+
+
+def _smoothing(found: SmoothingDifference | None) -> Iterator[tuple[str, float, str]]:
+    """Filtered poses against smoothed ones, by the difference of the covariances."""
+    if found is None:
+        return
+    frames = len(found.frame) + found.indefinite + found.untested
+    told = f"share of {frames} frames at which P_filtered - P_smoothed is not positive semi-definite"
+    yield (
+        "smoothing_indefinite",
+        found.indefinite / frames,
+        f"{told}, by more than {TOLERANCE:g} of P_filtered",
+    )
+    statistic = found.statistic()
+    if statistic is not None:
+        yield "smoothing_per_dof", statistic.value, statistic.convention
 
 
 def _against(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:
@@ -221,6 +240,11 @@ def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Me
             yield Metric(pair, key, value, unit, estimate=estimate)
         for key, value, convention in _agreement(found):
             yield Metric(pair, key, value, "1", convention=convention, estimate=estimate)
+    for key, value, convention in _smoothing(scores.smoothing):
+        yield Metric(pair, key, value, "1", convention=convention)
+    if scores.by_sum is not None:
+        told = "filtered against smoothed; worlds joined at the first pose, by the sum of the two covariances"
+        yield Metric(pair, "smoothing_by_sum", scores.by_sum.per_freedom, "1", convention=told)
     ends = one.run.estimates[-1], other.run.estimates[-1]
     told = f"landmarks of the {ends[0]} estimate of the first and of the {ends[1]} one of the second"
     both = ends[0] if ends[0] == ends[1] else None

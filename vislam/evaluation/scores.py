@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from vislam.core.record import Record, Tracks
 from vislam.core.reference import Reference
 from vislam.core.run import Estimate, Run
 from vislam.core.trajectory import Poses
-from vislam.evaluation import maps, normalised
+from vislam.evaluation import maps, normalised, smoothing
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
 from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.efficiency import Efficiency, efficiency
@@ -19,6 +20,7 @@ from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, sc
 from vislam.evaluation.lag import LagScores, score_lags
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
 from vislam.evaluation.normalised import Normalised
+from vislam.evaluation.smoothing import SmoothingDifference, smoothing_difference
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.trajectory_scores import TrajectoryScores, score_trajectory
 from vislam.geometry import se3
@@ -90,6 +92,8 @@ class RunScores:
         Errors of the filtered bias beside what was claimed of them.
     lags : sequence of LagScores
         Of the poses as known at each lag; empty where that was not asked for.
+    smoothing : SmoothingDifference or None
+        Of its own filtered and smoothed poses; None unless it has covariances of both.
     """
 
     run: Run
@@ -98,6 +102,7 @@ class RunScores:
     whiteness: Whiteness | None
     bias: Normalised | None
     lags: Sequence[LagScores] = ()
+    smoothing: SmoothingDifference | None = None
 
     @property
     def final(self) -> EstimateScores:
@@ -107,7 +112,11 @@ class RunScores:
     @cached_property
     def statistics(self) -> dict[str, Statistic]:
         """Statistics of the run as a whole, by name."""
-        found = {"nis": self.nis, "nees_bias": None if self.bias is None else self.bias.statistic()}
+        found = {
+            "nis": self.nis,
+            "nees_bias": None if self.bias is None else self.bias.statistic(),
+            smoothing.NAME: None if self.smoothing is None else self.smoothing.statistic(),
+        }
         return {name: statistic for name, statistic in found.items() if statistic is not None}
 
 
@@ -136,6 +145,10 @@ class PairScores:
         Of each estimate that both have: one is never held against the other.
     map : MapDifference or None
         Of the maps, which are those of the final estimates.
+    smoothing : SmoothingDifference or None
+        Of the filtered poses of one and the smoothed of the other, if both had the same information.
+    by_sum : Agreement or None
+        The same two estimates by the sum of their covariances.
     depth, views : (k,)
         Depth [m] of each landmark of ``map`` from the pose that saw it first, and the number of its views.
     """
@@ -144,6 +157,8 @@ class PairScores:
     map: MapDifference | None
     depth: Array
     views: IntArray
+    smoothing: SmoothingDifference | None = None
+    by_sum: Agreement | None = None
 
     def by_depth(self) -> list[Bin]:
         """How far the maps are apart, by the depth of the landmarks [m]."""
@@ -185,6 +200,7 @@ def score_run(run: Run, record: Record) -> RunScores:
         whiteness=normalised.nis_whiteness(run),
         bias=None if true_bias is None else normalised.bias_errors(run, true_bias),
         lags=score_lags(run, record),
+        smoothing=None if run.smoothed is None else smoothing_difference(run, run),
     )
 
 
@@ -245,8 +261,8 @@ def _map_errors(
     return found[0], found[1]
 
 
-def score_pair(one: RunScores, other: RunScores, record: Record) -> PairScores:
-    """Score two runs against each other."""
+def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool = False) -> PairScores:
+    """Score two runs against each other; ``equal`` says whether they had the same information."""
     apart = maps.map_difference(one.run, other.run)
     depth, views = np.empty(0), np.empty(0, np.int64)
     if apart is not None:
@@ -266,7 +282,19 @@ def score_pair(one: RunScores, other: RunScores, record: Record) -> PairScores:
         map=apart,
         depth=depth,
         views=views,
+        **(_smoothing(one.run, other.run) if equal else {}),
     )
+
+
+def _smoothing(one: Run, other: Run) -> dict[str, Any]:
+    """Filtered poses of the first against smoothed ones of the second; the reverse, if only the first has
+    any."""
+    first, second = (one, other) if other.smoothed is not None else (other, one)
+    if second.smoothed is None:
+        return {}
+    found = smoothing_difference(first, second)
+    by_sum = None if found is None else agreement(first, second, estimates=("filtered", "smoothed"))
+    return {"smoothing": found, "by_sum": by_sum}
 
 
 def _paired(one: HeldOutScore | None, other: HeldOutScore | None) -> Paired | None:
