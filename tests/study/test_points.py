@@ -54,7 +54,7 @@ def test_around_a_config_one_value_differs_at_a_time(short_config):
     assert found == [(own, 0), (0.7, 0), (0.9, 0), (own, 1)]
     assert configuration.parse(Config, points[0].tree) == short_config
     off = StudyConfig(around={"data.repair.clock.offset": (0.1,)})
-    with pytest.raises(ConfigError, match="has, got data.repair.clock.offset; switch its section on"):
+    with pytest.raises(ConfigError, match=r"has, got data\.repair\.clock\.offset; switch its section on"):
         all_points(short_config, off)
     with pytest.raises(ConfigError, match="got the same one twice"):
         all_points(short_config, StudyConfig(around={PIXELS: (own,)}))

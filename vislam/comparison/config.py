@@ -24,6 +24,7 @@ __all__ = [
     "KernelConfig",
     "NoiseConfig",
     "PackagedConfig",
+    "RedrawConfig",
     "Six",
     "dump",
     "inline",
@@ -59,6 +60,21 @@ class PackagedConfig:
     """White noise of the made velocity, one value a frame [m/s]."""
 
 
+Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RedrawConfig:
+    """Inertial data drawn anew from the reference's motion. Six numbers are (omega, v)."""
+
+    twist_density: Six
+    """White noise [rad/sqrt(s), m/sqrt(s)]; the last is that of the climb rate, where that is used."""
+    bias: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Constant bias [rad/s, m/s]."""
+    bias_sigma: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Standard deviation of what each seed adds to it [rad/s, m/s]."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Where the data comes from and how it is to be read and repaired."""
@@ -71,6 +87,9 @@ class DataConfig:
     """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
     inertial: InertialConfig | None = None
     """What replaces the inertial samples of ``file``, or null."""
+    redraw_inertial: RedrawConfig | None = None
+    """Noise with which the motion of ``reference`` replaces the inertial data of ``file`` for each seed, or
+    null; the results are then partly synthetic."""
     repair: RepairConfig = RepairConfig()
     """The repairs, each by its name; they hold for a recording and for its stand-in."""
     reference: ReferenceConfig | None = None
@@ -79,22 +98,20 @@ class DataConfig:
     def __post_init__(self) -> None:
         """Refuse a section without any data, and keys that would go unheard."""
         if self.packaged is not None:
-            if any((self.file, self.simulation, self.inertial, self.reference)):
-                raise ValueError(
-                    "packaged stands in place of file, simulation, inertial and reference: give it alone"
-                )
+            if any((self.file, self.simulation, self.inertial, self.redraw_inertial, self.reference)):
+                raise ValueError("packaged stands in place of all other sources of data: give it alone")
             return
         if self.file is None and self.simulation is None:
             raise ValueError("one of file, simulation and packaged must be given")
         if self.inertial is not None and self.file is None:
             raise ValueError("inertial replaces the samples of a recording: file must be given")
+        if self.redraw_inertial is not None and (self.file is None or self.reference is None):
+            raise ValueError("redraw_inertial needs a recording and its reference: give file and reference")
 
 
 LIST_MAKER = "ekf_invariant"
 """Estimator that decides which observations all are given: a filter that gates by what is uncertain, and is
 consistent."""
-
-Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -10,6 +10,7 @@ from vislam import repair
 from vislam.base.errors import DataError
 from vislam.comparison.config import DataConfig, HeldOutConfig, InertialConfig, PackagedConfig
 from vislam.comparison.plausibility import Implausible, implausible
+from vislam.comparison.redraw import redraw, redrawn_note
 from vislam.comparison.simulated import simulated_drive
 from vislam.core.reference import Reference, truth_reference
 from vislam.core.sequence import Repair, Sequence
@@ -97,7 +98,7 @@ def open_dataset(
     folders = search_path(data_dir, config_dir=config_dir)
     path = None if config.file is None else find_file(config.file, folders)
     if path is not None:
-        return _recorded(config, path, folders, held_out)
+        return _redrawn(_recorded(config, path, folders, held_out), config, seed)
     if config.file is not None and (not allow_stand_in or config.simulation is None):
         raise DataError(not_found(config.file, folders))
     return _simulated(config, seed, folders, held_out)
@@ -121,6 +122,25 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path], held_out: Hel
         found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
     return Dataset(sequence, reference, (), wrong, kept_back)
+
+
+def _redrawn(dataset: Dataset, config: DataConfig, seed: int) -> Dataset:
+    """The same with inertial data drawn anew, if the config says so."""
+    if config.redraw_inertial is None:
+        return dataset
+    if dataset.reference is None:
+        assert config.reference is not None
+        raise DataError(
+            f"{config.reference.file}: not found, but data.redraw_inertial takes the motion from it; put it "
+            "beside the recording, or leave redraw_inertial out"
+        )
+    drawn = [
+        None if part is None else redraw(part, dataset.reference, config.redraw_inertial, seed=seed)
+        for part in (dataset.sequence, dataset.held_out)
+    ]
+    assert drawn[0] is not None
+    note = redrawn_note(dataset.sequence.name, dataset.reference.name)
+    return replace(dataset, sequence=drawn[0], held_out=drawn[1], notes=(note, *dataset.notes))
 
 
 def _implausible(sequence: Sequence, config: DataConfig) -> tuple[Implausible, ...]:

@@ -287,8 +287,7 @@ def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool 
 
 
 def _smoothing(one: Run, other: Run) -> dict[str, Any]:
-    """Filtered poses of the first against smoothed ones of the second; the reverse, if only the first has
-    any."""
+    """Filtered poses of one against smoothed ones of the other, of the second if both have such."""
     first, second = (one, other) if other.smoothed is not None else (other, one)
     if second.smoothed is None:
         return {}

@@ -113,6 +113,8 @@ def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:
         # Each worker would decide for itself what it stands in for.
         made = replace(config.data, file=None, inertial=None, reference=None)
         return replace(config, data=made), "", dataset.notes[0]
+    if config.data.redraw_inertial is not None:
+        return config, "", dataset.notes[0]
     if seeds > 1:
         raise ConfigError(
             f"study.seeds: {file} is the same with every seed; set it to 1, or data.file to null, got {seeds}"
