@@ -1,0 +1,71 @@
+"""Definitions of the metrics in a sentence each, for the reference and for the page of a comparison."""
+
+DEFINITIONS = {
+    "ate_rmse": (
+        "Absolute trajectory error: root mean square distance of the estimated positions from the "
+        "reference, after the rigid (SE(3)) alignment of all positions by least squares (Umeyama 1991, no "
+        "scale)."
+    ),
+    "ate_planar_rmse": (
+        "The same in the horizontal plane: alignment by a turn about the vertical and a shift in the "
+        "plane, distances without the height."
+    ),
+    "ate_rotation_rmse": (
+        "Root mean square angle between estimated and reference attitude, after the same alignment."
+    ),
+    "held_out_median": (
+        "Tracks withheld from every estimator are triangulated from half of their observations at the "
+        "estimated poses and predicted in the other half: median over the tracks of the RMS pixel error."
+    ),
+    "path_length": "Sum of the distances between successive estimated positions.",
+    "height_end": "z of the last position, in the world frame of the first pose.",
+    "kitti_t_rel": (
+        "Relative translation error as the KITTI odometry kit computes it: mean over all segments of 100 "
+        "to 800 m, as a share of their length."
+    ),
+    "kitti_r_rel": "Relative rotation error of the same segments, per 100 m.",
+    "map_error_median": (
+        "Median distance of the estimated landmarks from the true ones (simulation only), worlds joined "
+        "at the first pose."
+    ),
+    "drift_end": (
+        "Position error at the last frame as a share of the distance travelled, worlds joined at the "
+        "first pose."
+    ),
+    "nees_pose": (
+        "Normalised estimation error squared of the pose, e' P^-1 e / 6 averaged over the frames, with e "
+        "= log(estimate^-1 truth) and P the estimated covariance, both on the right. 1 is expected; above "
+        "it the estimator is overconfident, below it conservative."
+    ),
+    "nees_position_planar": (
+        "The same for the planar position against a reference without attitudes. The reference is aligned "
+        "to minimise it, so the test is one-sided: only values above 1 count against the estimator."
+    ),
+    "nees_position_aligned": "The same for the position in space.",
+    "nis_per_dof": (
+        "Normalised innovation squared, nu' S^-1 nu divided by its degrees of freedom, over the accepted "
+        "observations of the whole run. 1 is expected; below it the stated noise is too large."
+    ),
+    "fit_per_dof": (
+        "Squared residuals of a smoother's final estimate, each by its noise, per degree of freedom "
+        "(residuals less unknowns). 1 is expected, without a robust kernel: what the NIS is to a filter."
+    ),
+    "yaw_information_gained": (
+        "Spurious information: what the filter's own Jacobians claim to observe of the rotation of the "
+        "world about the vertical, which no measurement holds, summed over the run. 0 is right."
+    ),
+    "landmarks": "Landmarks of the final map.",
+    "observations_used": "Stereo observations that the final estimate rests on.",
+    "observations_gated": "Stereo observations that the estimator itself rejected.",
+    "step_time_p50_ms": "Median wall time of a frame, in the estimator alone.",
+    "step_time_p95_ms": "95th percentile of the wall time of a frame.",
+    "total_time_s": (
+        "Wall time of all frames and, for the smoothed estimate, of the backward pass or the final "
+        "optimisation and covariances."
+    ),
+    "peak_rss_mb": (
+        "Largest resident memory of the process while the estimator ran; the runs share a process, so it "
+        "does not fall from one to the next."
+    ),
+}
+"""What each metric of the registry is, by its key."""
