@@ -1,6 +1,7 @@
 """The report's figures beside ours, drawn from saved results of ``report_ds3`` and of ``ds3``.
 
-``python -m experiments.report_figure results/report_ds3-<id> results/ds3-<id> docs/report_pipeline.png``
+``python -m experiments.report_figure results/report_ds3-<id> results/ds3-<id> FIGURE``; that of the case
+study is ``docs/case_study/report_pipeline.png``.
 """
 
 import argparse

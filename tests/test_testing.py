@@ -22,7 +22,7 @@ BLOCK = re.compile(r"^```(python|yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 @pytest.fixture
 def walked(tmp_path, monkeypatch):
     """The files of the guide, in an empty folder."""
-    blocks = BLOCK.findall((ROOT / "docs" / "plugin.md").read_text(encoding="utf-8"))
+    blocks = BLOCK.findall((ROOT / "docs" / "start" / "your_own_estimator.md").read_text(encoding="utf-8"))
     texts = [text for _, text in blocks]
     assert [kind for kind, _ in blocks] == ["python", "yaml", "python"]
     for name, text in zip(("my_module.py", "mine.yaml", "test_mine.py"), texts, strict=True):
