@@ -1,14 +1,15 @@
 """The results pages of the documentation and the table of the README, from comparisons that it runs.
 
 ``python -m experiments.results_pages`` runs the headline comparisons ``ds3`` and ``kitti07`` and writes
-``docs/results/ds3.md``, ``docs/results/kitti07.md`` and the table between the marks in ``README.md``, each
-with machine and date. Runs that an earlier start has finished are kept. With the ``metrics.json`` of finished
+``docs/results/ds3.md``, ``docs/results/kitti07.md``, the table between the marks in ``README.md``, each with
+machine and date, and the picture above it. Runs that an earlier start has finished are kept. With the ``metrics.json`` of finished
 comparisons as arguments it takes those and runs nothing.
 """
 
 import argparse
 import json
 import re
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,12 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("metrics", nargs="*", type=Path, help="metrics.json of finished comparisons")
     parser.add_argument("--out", type=Path, default=Path("results"), help="folder of the results")
     options = parser.parse_args(arguments)
-    given = {document["name"]: document for document in map(_read, options.metrics)}
-    documents = {name: given.get(name) or _run(name, options.out) for name in TITLES}
+    given = {_read(path)["name"]: path for path in options.metrics}
+    files = {name: given.get(name) or _run(name, options.out) for name in TITLES}
+    documents = {name: _read(path) for name, path in files.items()}
     for name, document in documents.items():
         (ROOT / "docs" / "results" / f"{name}.md").write_text(page(name, document), encoding="utf-8")
     readme = ROOT / "README.md"
     readme.write_text(with_table(readme.read_text("utf-8"), readme_table(documents)), encoding="utf-8")
+    shutil.copyfile(files["ds3"].parent / "figures" / "top_view.png", ROOT / "docs" / "ds3.png")
     return 0
 
 
@@ -54,11 +57,11 @@ def _read(path: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text("utf-8")))
 
 
-def _run(name: str, out: Path) -> dict[str, Any]:
-    """Document of a comparison, of the recording and no substitute."""
+def _run(name: str, out: Path) -> Path:
+    """``metrics.json`` of a comparison, of the recording and no substitute."""
     if compare.main([name, "--no-stand-in", "--out", str(out)]):
         raise SystemExit(f"{name}: the comparison has failed")
-    return _read(max(out.glob(f"{name}-*/metrics.json"), key=lambda path: path.stat().st_mtime))
+    return max(out.glob(f"{name}-*/metrics.json"), key=lambda path: path.stat().st_mtime)
 
 
 def page(name: str, document: dict[str, Any]) -> str:
