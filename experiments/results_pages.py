@@ -1,9 +1,9 @@
 """The results pages of the documentation and the table of the README, from comparisons that it runs.
 
 ``python -m experiments.results_pages`` runs the headline comparisons ``ds3`` and ``kitti07`` and writes
-``docs/results/ds3.md``, ``docs/results/kitti07.md``, the table between the marks in ``README.md``, each with
-machine and date, and the picture above it. Runs that an earlier start has finished are kept. With the ``metrics.json`` of finished
-comparisons as arguments it takes those and runs nothing.
+``docs/results/ds3.md``, ``docs/results/kitti07.md`` and the table between the marks in ``README.md``, each
+with machine and date, and its picture. Runs that an earlier start has finished are kept. With the
+``metrics.json`` of finished comparisons as arguments it takes those and runs nothing.
 """
 
 import argparse

@@ -131,6 +131,13 @@ def test_the_table_has_a_row_for_each_estimator(tiny, text):
     assert f'<th scope="row">ekf</th><td>{value:.2f}</td>' in body
 
 
+def test_each_metric_of_the_table_has_its_definition_one_click_away(text, elements):
+    linked = {link["href"] for link in elements.all("a") if link.get("class") == "what"}
+    assert "#metric-nis_per_dof" in linked
+    assert {f"#{term['id']}" for term in elements.all("dt")} == linked
+    assert "1 is expected" in text
+
+
 @pytest.mark.slow
 def test_names_and_notes_are_text_whatever_they_hold(tiny, tmp_path):
     runs = {EVIL: altered(tiny.runs["ekf"], name=EVIL, error=EVIL, events=(EVIL,), counts={EVIL: 1})}

@@ -37,9 +37,11 @@
   for (const header of document.querySelectorAll("table.sortable th[scope=col]")) {
     const button = document.createElement("button");
     button.type = "button";
+    const what = header.querySelector("a.what");
+    if (what) what.remove();
     button.append(...header.childNodes);
     button.addEventListener("click", () => sort(header));
-    header.append(button);
+    header.append(button, ...(what ? [what] : []));
   }
 
   // On paper nothing can be opened.

@@ -17,7 +17,8 @@ from vislam.core.run import Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
-from vislam.evaluation.metric import ESTIMATE_TITLES
+from vislam.evaluation.definitions import DEFINITIONS
+from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
 from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
@@ -63,6 +64,9 @@ def write_page(
     unequal : str
         In what the runs' information differed; empty if in nothing.
     """
+    tables = comparison_tables(runs, evaluation)
+    rows = {row[0] for table in tables.values() for row in table.rows}
+    shown = [spec for spec in METRICS.values() if spec.label in rows]
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
     text = template.render(
@@ -72,10 +76,9 @@ def write_page(
         checks=checks,
         verdict=verdict(runs, evaluation, reference, unequal=unequal),
         reference=reference,
-        tables=[
-            (ESTIMATE_TITLES[estimate], _turned(table))
-            for estimate, table in comparison_tables(runs, evaluation).items()
-        ],
+        tables=[(ESTIMATE_TITLES[estimate], _turned(table)) for estimate, table in tables.items()],
+        defined={spec.label: f"metric-{spec.key}" for spec in shown},
+        definitions=[(spec.key, spec.label, DEFINITIONS[spec.key]) for spec in shown],
         rungs=rungs_table(rungs),
         pairs=pairs_table(evaluation),
         maps=maps_table(evaluation),

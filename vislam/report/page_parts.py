@@ -1,5 +1,6 @@
 """Parts that pages are made of: texts of this package, figures and tables as HTML."""
 
+from collections.abc import Mapping
 from importlib.resources import files
 
 from markupsafe import Markup, escape
@@ -23,9 +24,14 @@ def inline_svg(name: str, drawing: Drawing) -> Markup:
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
 
 
-def draw_table(table: Table, caption: str, kind: str) -> Markup:
-    """A table in a box of its own that scrolls; the first cell of a row is the row's header."""
-    header = "".join(f'<th scope="col">{escape(visible(cell))}</th>' for cell in table.header)
+def draw_table(table: Table, caption: str, kind: str, defined: Mapping[str, str] | None = None) -> Markup:
+    """A table in a box of its own that scrolls; the first cell of a row is the row's header.
+
+    ``defined`` has the id of the definition of those column titles that have one on the page.
+    """
+    header = "".join(
+        f'<th scope="col">{_titled(cell, (defined or {}).get(cell))}</th>' for cell in table.header
+    )
     body = "".join(
         f'<tr><th scope="row">{escape(visible(row[0]))}</th>'
         + "".join(f"<td>{escape(visible(cell))}</td>" for cell in row[1:])
@@ -38,3 +44,12 @@ def draw_table(table: Table, caption: str, kind: str) -> Markup:
         f'<table class="{kind}" aria-label="{label}"><thead><tr>{header}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
+
+
+def _titled(title: str, definition: str | None) -> Markup:
+    """Title of a column, with a link to its definition."""
+    text = escape(visible(title))
+    if definition is None:
+        return text
+    link = f'<a class="what" href="#{escape(definition)}" aria-label="Definition: {text}">?</a>'
+    return Markup(f"{text} {link}")
