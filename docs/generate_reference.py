@@ -222,7 +222,7 @@ def metrics() -> str:
             "",
             f"`{key}`, unit: {unit}.{better}",
             "",
-            DEFINITIONS[key],
+            DEFINITIONS.get(key, ""),
             "",
         ]
     return "\n".join(lines)

@@ -54,6 +54,26 @@ DEFINITIONS = {
         "Spurious information: what the filter's own Jacobians claim to observe of the rotation of the "
         "world about the vertical, which no measurement holds, summed over the run. 0 is right."
     ),
+    "bound_ratio_rotation": (
+        "Squared error of the rotations since the first frame over the posterior Cramer-Rao bound, both "
+        "summed over the sequence (simulation with known noise). 1 is expected of an efficient estimator."
+    ),
+    "bound_ratio_position": "The same of the positions.",
+    "bound_excess_rotation": (
+        "Squared error of the rotations less that of the linear estimator that attains the bound on the "
+        "same noise, in percent of the bound: 0 is expected of an efficient estimator, with far less "
+        "scatter than the ratio."
+    ),
+    "bound_excess_position": "The same of the positions.",
+    "nis_autocorrelation": (
+        "Autocorrelation of the NIS at a lag of one frame. The innovations of a consistent filter are "
+        "white, so 0 is expected."
+    ),
+    "smoothing_per_dof": (
+        "Difference of filtered and smoothed poses, normalised by the difference of their covariances, "
+        "per degree of freedom. 1 is expected, without any reference."
+    ),
+    "smoothing_indefinite": ("Share of the frames whose smoothed covariance is not below the filtered one."),
     "landmarks": "Landmarks of the final map.",
     "observations_used": "Stereo observations that the final estimate rests on.",
     "observations_gated": "Stereo observations that the estimator itself rejected.",

@@ -66,7 +66,7 @@ def write_page(
     """
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
-    shown = [spec for spec in METRICS.values() if spec.label in rows]
+    shown = [spec for spec in METRICS.values() if spec.label in rows and spec.key in DEFINITIONS]
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
     text = template.render(
