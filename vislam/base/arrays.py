@@ -8,5 +8,5 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def immutable(array: "np.ndarray[Any, np.dtype[Scalar]]") -> "np.ndarray[Any, np.dtype[Scalar]]":
-    """Copy of an array that nobody can make writable again, not by its flags and not through its base."""
+    """Copy of an array that cannot be made writable again, neither by its flags nor through its base."""
     return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)

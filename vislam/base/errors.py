@@ -51,6 +51,6 @@ class Interrupted(KeyboardInterrupt):
 
 
 def first_line(error: BaseException) -> str:
-    """First line of what an error says, of bounded length, without the path that an OSError repeats."""
+    """First line of an error's message, of bounded length, without the path that an OSError repeats."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return one_line(next((line for line in said.splitlines() if line.strip()), type(error).__name__))

@@ -27,7 +27,7 @@ REAL = re.compile(r"[<>|=](f[248]|[iu][1248])")
 
 
 class ArrayError(Exception):
-    """An array that cannot be read; says what was expected and what came."""
+    """An array that cannot be read; its message has what was expected and what was found."""
 
     def __init__(self, expected: str, got: str) -> None:
         super().__init__(f"must be {expected}, got {got}")

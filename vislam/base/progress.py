@@ -1,4 +1,4 @@
-"""How the library says what it does: to the terminal if a command runs it, else to nobody."""
+"""How the library reports progress: to the terminal if a command runs it, else not at all."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -9,7 +9,7 @@ class Bar(Protocol):
     """A bar that grows."""
 
     def done(self, count: int) -> None:
-        """Say how much of the whole is done."""
+        """Report how much of the whole is done."""
         ...
 
 
@@ -30,7 +30,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Says nothing."""
+    """Reports nothing."""
 
     def note(self, text: str) -> None:
         """Drop a line."""

@@ -1,4 +1,4 @@
-"""Settings of every room: YAML files laid over each other, parsed into frozen dataclasses, written again.
+"""Settings of every room: YAML files merged, parsed into frozen dataclasses, and written.
 
 What can be set stands beside what it sets; here is what they have in common.
 """
@@ -33,7 +33,7 @@ Remark = Annotated[str, Field(max_length=1000)]
 
 
 def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a configuration file, laid over those it builds on, as plain data.
+    """Read a configuration file, merged with those it extends, as plain data.
 
     ``above`` are files that build on it. A ConfigError says what is wrong with it.
     """
@@ -54,7 +54,7 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Lay one tree over another."""
+    """Merge one tree into another; its values take precedence."""
     merged = dict(base)
     for key, value in own.items():
         inside = isinstance(value, dict) and isinstance(merged.get(key), dict) and key not in _WHOLE
@@ -108,7 +108,7 @@ def _plain(value: Any) -> Any:
 
 
 def _known(kind: Any, location: tuple[int | str, ...]) -> str:
-    """Say which keys the section of an unknown key has."""
+    """List the keys that the section of an unknown key has."""
     for part in location[:-1]:
         if isinstance(part, int):
             # An item of a list, whose section the list has already named.

@@ -50,7 +50,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def unwritable(value: Any, *, levels: int = DEEPEST) -> tuple[tuple[str, ...], str] | None:
-    """Where plain data is what no YAML that is read here can say, and what is wrong there; None: nowhere."""
+    """Where plain data holds what cannot be written as YAML, and what is wrong there; None: nowhere."""
     if isinstance(value, dict | list | tuple):
         if not levels:
             return (), f"expected at most {DEEPEST} levels, got more"
