@@ -1,4 +1,4 @@
-"""The least that an unbiased estimator of a simulated drive can err by, as it is kept with the drive."""
+"""The least error of an unbiased estimator of a simulated sequence, as it is saved with the sequence."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class Bound:
     filtered, smoothed : (T, 6, 6)
         Least covariances; 0 at the first frame.
     filtered_error, smoothed_error : (T, 6)
-        What an estimator that attains them errs by on the noise of this drive.
+        What an estimator that attains them errs by on the noise of this sequence.
     """
 
     filtered: Array

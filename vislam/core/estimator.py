@@ -24,16 +24,16 @@ GROUP = "vislam.estimators"
 
 
 HEIGHT_SIGMA = 0.02
-"""White error of the height against the integrated climb rate [m]."""
+"""White error of the height against the integrated vertical velocity [m]."""
 UNKNOWN_CLIMB = 5.0
-"""Standard deviation of the climb rate where a step has none [m/s]."""
+"""Standard deviation of the vertical velocity where a step has none [m/s]."""
 FIRST_TWIST_S = 1000.0
 """Of the first twist as much is known beforehand as this time after the first inertial sample [s]."""
 
 
 @dataclass(frozen=True)
 class ClimbNoise:
-    """How the climb rate is taken as a measurement.
+    """How the vertical velocity is taken as a measurement.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Problem:
     disparity_offset_sigma : float
         Prior standard deviation of a constant error of all disparities [px]; 0: known.
     climb : ClimbNoise or None
-        None: the climb rate is not used.
+        None: the vertical velocity is not used.
     kernel : Kernel or None
         Robust kernel of the stereo observations, on residuals whitened by their noise; None: they are
         Gaussian.

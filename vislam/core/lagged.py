@@ -30,7 +30,7 @@ class Lags:
 
 @dataclass(frozen=True)
 class Lagged:
-    """The poses of all frames as known at each lag; at the end of the drive, what is known there.
+    """Fixed-lag poses of all frames at each lag; at the end of the sequence, those of the last frame.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Lagged:
 
 
 class LagReader:
-    """Reads out of an estimator, after each frame, the poses that have come to a lag.
+    """Reads the fixed-lag poses of an estimator after each frame.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class LagReader:
         self._poses: dict[int, list[tuple[Array, Array | None]]] = {lag: [] for lag in lags.frames}
 
     def take(self, newest: int, read: Read) -> None:
-        """Read what has come to its lag with the newest frame."""
+        """Read the poses whose lag ends with the newest frame."""
         self._frames = newest + 1
         for lag, found in self._poses.items():
             if newest >= lag:

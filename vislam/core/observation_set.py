@@ -1,4 +1,4 @@
-"""A frozen list of observations: what estimators are given so that nothing but inference tells them apart."""
+"""The common observation set: what estimators are given so that they differ by inference alone."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -62,7 +62,7 @@ class FrozenList:
         return {"digest": self.digest, "kept": kept, "of": len(self.kept), "by": list(self.by)}
 
     def tell(self, runs: Mapping[str, Run]) -> str:
-        """Say in a few sentences what the list is and who kept to it."""
+        """Describe in a few sentences what the set is and which runs fused all of it."""
         said = [
             f"Frozen list {self.digest}: {np.count_nonzero(self.kept)} of {len(self.kept)} observations, "
             f"which {_listed(self.by)} fused and whose tracks were seen again; on it, no estimator gates for "

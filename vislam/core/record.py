@@ -1,4 +1,4 @@
-"""What evaluation and report know of a drive beside its runs, saved with them: nobody needs the recording."""
+"""What evaluation and report need of a sequence beside its runs, in place of the recording."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +114,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Record:
-    """The drive behind some runs.
+    """The sequence behind some runs.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class Record:
 
     @classmethod
     def load(cls, path: Path) -> "Record":
-        """Read a saved record; a DataError says what is wrong with it."""
+        """Read a saved record; a DataError names what is invalid."""
         tree = read_archive(path, _TABLE, what=_WHAT)
         kinds = {"rig": StereoRig, "reference": Reference, "frozen": FrozenList}
         kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound}
@@ -182,7 +182,7 @@ class Record:
         return found
 
     def refuse_other(self, run: Run, *, path: Path) -> None:
-        """Raise DataError if a saved run is not what its file is named for, or of another drive."""
+        """Raise DataError if a saved run is not what its file is named for, or of another sequence."""
         if got := self._unlike(run, name=path.stem):
             raise DataError(
                 f"{path}: expected a run of the drive in the record beside it, got {got}; "
@@ -190,7 +190,7 @@ class Record:
             )
 
     def _unlike(self, run: Run, *, name: str) -> str:
-        """What shows that a run is of another drive, or another run; empty if nothing does."""
+        """What shows that a run is of another sequence, or another run; empty if nothing does."""
         frames, given = len(self.stamp), len(self.given.track)
         if run.name != name:
             return f"the run '{brief(run.name)}'"

@@ -1,4 +1,4 @@
-"""A finished run of an estimator: all that evaluation ever sees of it, saved and loaded as one file."""
+"""A finished run of an estimator: all that evaluation reads of it, saved and loaded as one file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -298,7 +298,7 @@ class Run:
 
     @classmethod
     def load(cls, path: Path) -> "Run":
-        """Read a saved run; a DataError says what is wrong with it."""
+        """Read a saved run; a DataError names what is invalid."""
         tree = read_archive(path, _TABLE, what="a run as this version of vislam saves it")
         for name, kind in _PARTS.items():
             tree[name] = None if tree.get(name) is None else kind(**tree[name])

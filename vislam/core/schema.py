@@ -1,4 +1,4 @@
-"""The words in which a table says what a saved archive must hold: adding a field is one line in the table.
+"""Schema of a saved archive: the vocabulary of its table, in which a field is one line.
 
 A table maps the dotted path of each field to what it is; :mod:`vislam.core.archive` holds an archive to it.
 """

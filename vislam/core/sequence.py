@@ -56,7 +56,7 @@ class Sequence:
     twist : (S, 6)
         Inertial samples (omega, v), body frame [rad/s, m/s].
     climb_rate : (S,)
-        Climb rate samples [m/s], NaN where the velocity is not levelled.
+        Vertical velocity samples [m/s], NaN where the velocity is not levelled.
     rig : StereoRig
     offset : (T + 1,)
     track : (n,)
@@ -211,7 +211,7 @@ class Sequence:
             )
 
     def step_means(self) -> tuple[Array, Array]:
-        """Mean twist ``(T, 6)`` and climb rate ``(T,)`` over the step that ends at each frame.
+        """Mean twist ``(T, 6)`` and vertical velocity ``(T,)`` over the step that ends at each frame.
 
         The samples are joined by straight lines, moved by the clock offset and averaged exactly
         over the step. The first row, which ends no step, is the value at the first frame.
