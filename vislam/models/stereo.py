@@ -78,7 +78,7 @@ class StereoRig:
     def back_project(self, z: Array) -> Array:
         """Points ``(n, 3)`` [m] in the left camera frame of measurements ``(n, 3)`` [px].
 
-        Eq. (20) with its slip mended: y comes from the row, ``y = (v - cy) z / fy``.
+        Eq. (20) with its slip corrected: y comes from the row, ``y = (v - cy) z / fy``.
         The disparity ``uL - uR`` must not be zero.
         """
         depth = self.fx * self.baseline / (z[..., 0] - z[..., 1])

@@ -1,6 +1,6 @@
-"""What a stereo track's pixels are off by: white noise, drift of the tracker, and error of the stereo match.
+"""Errors of a stereo track's pixels: white noise, tracker drift and stereo-matching bias.
 
-Measured on recorded drives against tracks triangulated from reference poses, the three differ in kind:
+Measured on recorded sequences against tracks triangulated from reference poses, the three differ in kind:
 
 * white noise, new in every frame, the same for uL, vL, uR and vR;
 * drift: the tracker slowly goes over to another point, so column and row walk randomly along the track;
@@ -34,7 +34,7 @@ class TrackNoise:
     drift : float
         Step of the random walk of column and of row, a frame [px].
     match : float
-        Standard deviation of the disparity of the first sighting that stays with the track [px].
+        Standard deviation of the disparity of the first observation that stays with the track [px].
     """
 
     white: float
@@ -64,6 +64,6 @@ def independent_sigma(noise: TrackNoise, *, age: IntArray, disparity: Array, fir
     """
     drift = noise.drift**2 * age
     match = (noise.match * disparity / first_disparity) ** 2
-    # Half of the match error falls on each of the two columns; a mean over coordinates and observations.
+    # Half of the bias is in each of the two columns; the mean is over coordinates and observations.
     variance = noise.white**2 + float(np.mean(drift + 0.5 * match)) if len(age) else noise.white**2
     return np.broadcast_to(np.sqrt(variance) * SHARES, (len(age), 3))
