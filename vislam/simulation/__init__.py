@@ -1,4 +1,4 @@
-"""Simulated drives with exact truth, in the shape and with the faults of the recorded ones."""
+"""Simulated sequences with exact truth, in the shape and with the faults of the recorded ones."""
 
 from vislam.simulation.drive import Truth, simulate
 from vislam.simulation.settings import SimulationConfig

@@ -17,7 +17,7 @@ from vislam.simulation.tracks import simulate_tracks
 
 @dataclass(frozen=True)
 class Truth:
-    """Exact truth of a simulated drive.
+    """Exact truth of a simulated sequence.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Truth:
 def simulate(
     config: SimulationConfig, *, seed: int, name: str, path: BodyPath | None = None
 ) -> tuple[Sequence, Truth]:
-    """Simulate a drive.
+    """Simulate a sequence.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A fixed field of static points along a drive: facades on both sides and the ground between them."""
+"""A fixed field of static points along a path: facades on both sides and the ground between them."""
 
 import numpy as np
 from scipy.spatial import KDTree

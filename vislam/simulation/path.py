@@ -1,4 +1,4 @@
-"""Smooth drives: the pose of the body at any time."""
+"""Smooth trajectories: the pose of the body at any time."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -39,7 +39,7 @@ def central_twist(pose: Callable[[Array], Array], time: Array) -> Array:
 
 
 class DrivePath:
-    """World pose of the body along a drive.
+    """World pose of the body along a trajectory.
 
     Heading and speed are smooth functions of time; the position is their integral, by Simpson's rule
     on a grid far finer than the frames, so a pose is the same function of time wherever it is asked.
@@ -58,7 +58,7 @@ class DrivePath:
         self._driven = np.concatenate([np.zeros((1, 3)), np.cumsum(flow * step, axis=0)])
 
     def pose(self, time: Array) -> Array:
-        """World pose ``(n, 4, 4)`` of the body at times ``(n,)`` [s], within a second of the drive."""
+        """World pose ``(n, 4, 4)`` of the body at times ``(n,)`` [s], within a second of the trajectory."""
         heading = self._shape.heading(time)
         driven = self._driven_at(time)
         ahead = np.column_stack([np.cos(heading), np.sin(heading)])

@@ -1,4 +1,4 @@
-"""A drive along recorded poses: a smooth path through them, of which every pose and twist is exact."""
+"""A trajectory along recorded poses: a smooth path through them, of which every pose and twist is exact."""
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline

@@ -1,4 +1,4 @@
-"""What can be set of a simulated drive."""
+"""What can be set of a simulated sequence."""
 
 from typing import Annotated, Literal
 
@@ -37,7 +37,7 @@ class RigConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class RecordedPathConfig:
-    """Recorded poses that a simulated drive follows."""
+    """Recorded poses that a simulated sequence follows."""
 
     file: str
     """File of poses, searched for where recordings are."""
@@ -54,7 +54,7 @@ class RecordedPathConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SimulationConfig:
-    """A simulated drive: path, inertial data, stereo tracks and the faults of a recording."""
+    """A simulated sequence: path, inertial data, stereo tracks and the faults of a recording."""
 
     frames: Annotated[int, Field(ge=2, le=1_000_000)] = 1010
     """Number of frames."""
@@ -63,7 +63,7 @@ class SimulationConfig:
     path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "recorded"] = (
         "town"
     )
-    """Shape of the drive. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
+    """Shape of the path. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
     circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
     at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade.
     ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
@@ -149,7 +149,7 @@ class SimulationConfig:
     drift_px: NonNegative = 0.0
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
     levelled_velocity: bool = False
-    """Write the climb rate as the third velocity component, as KITTI's recordings have it."""
+    """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
 
     def __post_init__(self) -> None:
         """Refuse swapped depths, axes that are none, and a recorded path without poses or the reverse."""

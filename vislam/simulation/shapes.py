@@ -1,4 +1,4 @@
-"""The named shapes of a drive: heading and pace of the point that moves straight ahead."""
+"""The named shapes of a path: heading and speed of the point that moves straight ahead."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _CORNER_PACE = 0.4
 
 @dataclass(frozen=True)
 class Shape:
-    """How a drive goes on in the plane.
+    """Motion of the vehicle in the plane.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ def _town(turning: bool, duration: float, phases: Array, generator: np.random.Ge
 
 
 def _town_turns(duration: float, generator: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Time [s], angle [rad] and width [s] of the corners that a town drive takes."""
+    """Time [s], angle [rad] and width [s] of the corners of a path through a town."""
     times = np.arange(9.0, duration + 10.0, 13.0)
     times = times + generator.uniform(-2.0, 2.0, len(times))
     sign = generator.choice([-1.0, 1.0], len(times))

@@ -204,7 +204,7 @@ def _births(
 def _observe(
     config: SimulationConfig, rig: StereoRig, pose: Array, alive: _Alive, generator: np.random.Generator
 ) -> Array:
-    """Pixels (uL, vL, uR, vR) of the tracks, with noise, drift, match error and outliers."""
+    """Pixels (uL, vL, uR, vR) of the tracks, with noise, drift, stereo-matching bias and outliers."""
     z = rig.project(se3.transform(se3.inverse(pose), alive.point))
     column, row = z[:, :2] + alive.slip[:, :1], z[:, 2] + alive.slip[:, 1]
     right = column[:, 1] - alive.match * (z[:, 0] - z[:, 1]) - config.disparity_offset_px
