@@ -1,4 +1,4 @@
-"""Ablation: what things done wrong cost, mended one after the other and one at a time."""
+"""Ablation: the cost of defects, corrected one after the other and one at a time."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ CASE = "case"
 
 @dataclass(frozen=True)
 class Ablation:
-    """Defects in the order in which they are mended.
+    """Defects in the order in which they are corrected.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Ablation:
         return f"from {next(name for name in defects if name in here)} on"
 
     def one_after_the_other(self) -> list[tuple[str, ...]]:
-        """Defects present from all to none, mended in their order."""
+        """Defects present from all to none, corrected in their order."""
         return [self.defects[mended:] for mended in range(len(self.defects) + 1)]
 
     def alone(self) -> list[tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""What a study answers: who fails how often, who errs how much, who claims too much, who is better.
+"""What a study answers: failure rates, errors, overconfidence, paired differences.
 
 Trials are independent of each other; the times within one are not. So a trial counts once, with its average,
 however many frames it has.
@@ -97,7 +97,7 @@ def pooled_nees(trials: Trials, name: str, *, rows: IntArray) -> PooledNees | No
 
 
 def pooled_coverage(trials: Trials, name: str, *, rows: IntArray) -> Estimate | None:
-    """Share of the errors within three standard deviations as claimed, mean over trials."""
+    """Share of the errors within three estimated standard deviations, mean over trials."""
     return mean(trials, name, COVERAGE, rows=rows)
 
 
@@ -117,7 +117,7 @@ def paired(trials: Trials, one: str, other: str, key: str, *, rows: IntArray) ->
 def rank_correlation(trials: Trials, one: str, other: str) -> Estimate | None:
     """Spearman's rank correlation of two metrics over the runs of a seed, mean over the seeds.
 
-    The runs of a seed, those of all points and estimators, are of one drive, so that only their quality
+    The runs of a seed, those of all points and estimators, are of one sequence, so that only their quality
     differs; None if no seed has three runs with both metrics that are not all the same.
     """
     found = []

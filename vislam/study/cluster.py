@@ -146,7 +146,7 @@ def run_trials(
 
 
 def _wait(client: Client, finished: as_completed, *, patience: float, say: Callable[[str], None]) -> None:
-    """Wait until a trial has finished; WorkersGone if there has been no worker for so long."""
+    """Wait until a trial has finished; WorkersGone if there has been no worker for that long."""
     seen = looked = time.monotonic()
     told = False
     while not finished.has_ready():
@@ -173,7 +173,7 @@ def watch_at(client: Client) -> str:
 
 
 def _result(future: Any, trial: Trial) -> dict[str, Any]:
-    """Result of a finished trial, or what there is to say of one whose workers died."""
+    """Result of a finished trial, or the record of one whose workers died."""
     try:
         result: dict[str, Any] = future.result()
     except (CancelledError, ClosedClientError, CommClosedError):
@@ -194,7 +194,7 @@ def _result(future: Any, trial: Trial) -> dict[str, Any]:
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Say in one line that the scheduler is gone."""
+    """Report in one line that the scheduler was lost."""
     try:
         yield
     except (CancelledError, ClosedClientError, OSError):

@@ -22,7 +22,7 @@ _CONNECTING = 30.0
 
 
 class WorkersGone(Exception):
-    """No worker is left, and none comes; the message says so."""
+    """No worker is left, and none joins; the message says so."""
 
 
 @dataclass(frozen=True)
@@ -157,5 +157,5 @@ def _ready() -> str:
 
 
 def other_code(code: str, who: str) -> str:
-    """Say that a worker has another version."""
+    """Report that a worker has another version."""
     return f"{who} has vislam of code {code}, here it is {code_digest()}; install the same there"

@@ -31,7 +31,7 @@ class Plan:
     study : StudyConfig
     points : sequence of Point
     data : str
-        Hash of the recording; empty for drives that each trial simulates with its seed.
+        Hash of the recording; empty for sequences that each trial simulates with its seed.
     about : str
         What the trials are of.
     """
@@ -60,7 +60,7 @@ class Plan:
         return all_trials(self.points, seeds=seeds, code=code_digest(), data=self.data)
 
     def longest_first(self) -> "Plan":
-        """The same study with its longest drives first: in the end no worker waits long for another's."""
+        """The same study with its longest sequences first: so that no worker is idle for long at the end."""
         points = sorted(self.points, key=_frames, reverse=True)
         return replace(self, points=points)
 
@@ -125,6 +125,6 @@ def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:
 
 
 def _frames(point: Point) -> int:
-    """Length of a point's drive; 0 for packaged data, of which all points have the same."""
+    """Length of a point's sequence; 0 for packaged data, of which all points have the same."""
     simulation = point.tree["data"]["simulation"]
     return 0 if simulation is None else int(simulation["frames"])

@@ -48,7 +48,7 @@ class Point:
     def of(
         cls, config: Config, values: Mapping[str, Any], *, changes: Mapping[str, Any] | None = None
     ) -> "Point":
-        """Lay values over a config, or what they stand for; ConfigError if it takes them not."""
+        """Set values of a config, or what they stand for; ConfigError if it rejects them."""
         try:
             tree = _plain(replace(config, study=None, checks=(), seed=0, blas_threads=1))
             for path, value in (values if changes is None else changes).items():

@@ -1,4 +1,4 @@
-"""The file of a trial: taken only if it is whole and says what its name stands for."""
+"""The file of a trial: accepted only if it is whole and matches its name."""
 
 import json
 from pathlib import Path

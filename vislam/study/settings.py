@@ -61,7 +61,8 @@ class StudyConfig:
     """Points in place of a grid."""
     defects: dict[str, Annotated[dict[str, Any], Field(min_length=1)]] = Field(default_factory=dict)
     """An ablation in place of a grid: things done wrong by name, each as values by dotted path; the
-    config itself has none of them. They are mended in this order, and each is there and is mended alone."""
+    config itself has none of them. They are corrected in this order, and each is there and is corrected
+    alone."""
     metrics: tuple[str, ...] = ()
     """Metrics that ``trials.csv`` shows; empty: all. The files of the trials have them all."""
     ranking: Ranking | None = None

@@ -20,7 +20,7 @@ _MISSING = "failed"
 
 
 def short_table(trials: Trials, ablation: Ablation) -> Table:
-    """Defects mended one after the other: the error of every estimator."""
+    """Defects corrected one after the other: the error of every estimator."""
     key = errors(trials)[0]
     header = [
         "mended, one after the other",
@@ -31,7 +31,7 @@ def short_table(trials: Trials, ablation: Ablation) -> Table:
 
 
 def mending_table(trials: Trials, ablation: Ablation) -> Table:
-    """Defects mended one after the other: the error of every estimator, and what else is known of it."""
+    """Defects corrected one after the other: the error of every estimator, and what else is known of it."""
     key = errors(trials)[0]
     details = [name for name in DETAILS if any(_known(trials, run, name) for run in trials.complete)]
     header = ["mended", "estimator", metric_label(key), *(DETAILS[name] for name in details)]
@@ -46,7 +46,7 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
 
 
 def defects_table(trials: Trials, ablation: Ablation) -> Table:
-    """Each defect on its own: the error where it alone is there or mended, and what it adds."""
+    """Each defect alone: the error where it alone is present or corrected, and what it adds."""
     key = errors(trials)[0]
     title, unit = ERRORS[key].short_title, ERRORS[key].unit
     header = ["defect"]
@@ -128,7 +128,7 @@ def _name(trials: Trials, run: str) -> str:
 
 
 def _steps(ablation: Ablation) -> list[tuple[str, str]]:
-    """What was mended last and the name of the case, from none mended to all."""
+    """What was corrected last and the name of the case, from none corrected to all."""
     named = ["0. nothing", *(f"{step}. {name}" for step, name in enumerate(ablation.defects, start=1))]
     cases = [ablation.label(present) for present in ablation.one_after_the_other()]
     return list(zip(named, cases, strict=True))

@@ -115,7 +115,7 @@ def failures(trials: Trials) -> Figure | None:
 
 
 def cost(trials: Trials) -> Figure | None:
-    """Error against the time of a step, a point for each estimator, and the front that nobody beats."""
+    """Error against the time of a step, a point for each estimator, and the Pareto front."""
     key = next(iter(errors(trials)), None)
     if key is None:
         return None

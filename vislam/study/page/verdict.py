@@ -1,4 +1,4 @@
-"""What a study comes to, in sentences: who fails, who is closest, who claims too much."""
+"""The verdict of a study, in sentences: failures, accuracy, overconfidence."""
 
 from collections.abc import Sequence
 
@@ -56,7 +56,7 @@ def _failures(trials: Trials) -> str:
 
 
 def _accuracy(trials: Trials) -> str:
-    """Say who errs least, and whether that is more than luck."""
+    """State which estimator has the least error, and whether that is significant."""
     if not errors(trials):
         return ""
     key, rows = errors(trials)[0], np.arange(len(trials))
@@ -79,7 +79,7 @@ def _accuracy(trials: Trials) -> str:
 
 
 def consistency(trials: Trials, name: str) -> str:
-    """Say whether, and from where on, an estimator claims too much; nothing if no trial can tell."""
+    """State whether, and from which value on, an estimator is overconfident; nothing without data."""
     groups = trials.groups()
     found = [pooled_nees(trials, name, rows=rows) for _, rows in groups]
     labels = [point_label(point) for point, _ in groups]
@@ -106,7 +106,7 @@ def consistency(trials: Trials, name: str) -> str:
 
 
 def _onset(trials: Trials, name: str, found: Sequence[PooledNees | None]) -> str:
-    """Say from which value of the one swept parameter on an estimator is overconfident, if from any."""
+    """State from which value of the swept parameter on an estimator is overconfident, if from any."""
     path = next(iter(trials.point))
     values, place = trials.levels(path), onset(found)
     if len(trials.point) != 1 or place is None or not all(is_number(value) for value in values):
