@@ -169,7 +169,7 @@ class _Judge:
         return min((self.evaluation.final(name) for name in names), key=ESTIMATES.index)
 
     def _scale(self, check: Check, estimate: Estimate, unit: str) -> tuple[float | None, str]:
-        """What the bounds are multiples of, and how that is told; None if there is nothing, and why."""
+        """What the bounds are multiples of, and its description; None if there is nothing, and why."""
         if check.times is None:
             return 1.0, ""
         if check.times == SAVED:

@@ -77,7 +77,7 @@ class Saved:
 
     @classmethod
     def read(cls, path: Path, *, schema_version: int) -> "Saved":
-        """Read a ``metrics.json``, or that of a folder of results; a DataError says what is wrong with it."""
+        """Read a ``metrics.json``, or that of a folder of results; a DataError names what is invalid."""
         path = path / "metrics.json" if os.path.isdir(path) else path
         tree = _tree(path)
         if tree.get("schema_version") != schema_version:

@@ -38,7 +38,7 @@ class Check:
     saved results (``--against``)."""
 
     def __post_init__(self) -> None:
-        """Refuse what says nothing, or two things."""
+        """Reject a check without a requirement, or with two."""
         if (self.metric is None) == (self.test is None):
             raise ValueError("one of metric and test must be given")
         bounds = [bound for bound in (self.at_least, self.at_most) if bound is not None]
