@@ -26,11 +26,11 @@ _NONE = {
         "acceleration_density",
     ),
 }
-"""What a drive with a bound has none of, by section."""
+"""What a sequence with a bound has none of, by section."""
 
 
 def refuse_unbounded(config: Config) -> None:
-    """Raise ConfigError, in one line, if a config asks for a bound that its drive does not have.
+    """Raise ConfigError, in one line, if a config asks for a bound that its sequence does not have.
 
     The bound is that of independent noise which is drawn as it is told: for anything else it would be that of
     another problem.

@@ -235,7 +235,7 @@ def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Resu
 def build_estimators(
     config: Config, dataset: Dataset, found: Mapping[str, Member], *, listed: bool = False
 ) -> dict[str, Estimator | Unbuilt]:
-    """Build the members of a comparison, in order; a ConfigError names a wrong option.
+    """Build the estimators of a comparison, in order; a ConfigError names a wrong option.
 
     Where observations are ``listed``, nobody that is given the list gates for itself.
 
@@ -265,7 +265,7 @@ def _parted(config: Config, dataset: Dataset) -> tuple[Dataset, Tracks]:
 
 
 def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, frozen: FrozenList | None) -> Record:
-    """What is to be kept of the drive."""
+    """The record of the sequence, to be saved beside its runs."""
     sequence = dataset.sequence
     return Record(
         name=sequence.name,
@@ -318,7 +318,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
 
 
 def pixel_sigma(config: Config, dataset: Dataset) -> Array:
-    """Standard deviation of (uL, uR, v), ``(n, 3)`` [px], for whoever takes it as independent noise."""
+    """Standard deviation of (uL, uR, v), ``(n, 3)`` [px], of independent noise."""
     sequence = dataset.sequence
     disparity = sequence.disparity
     return independent_sigma(

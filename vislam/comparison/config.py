@@ -45,7 +45,7 @@ class InertialConfig:
     folder: str
     """Folder that holds ``data`` and ``timestamps.txt``, searched for where the recording is."""
     camera_timestamps: str | None = None
-    """The drive's ``image_00/timestamps.txt``, searched for alike; null: sample k is at frame k."""
+    """The sequence's ``image_00/timestamps.txt``, searched for alike; null: sample k is at frame k."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -68,7 +68,7 @@ class RedrawConfig:
     """Inertial data drawn anew from the reference's motion. Six numbers are (omega, v)."""
 
     twist_density: Six
-    """White noise [rad/sqrt(s), m/sqrt(s)]; the last is that of the climb rate, where that is used."""
+    """White noise [rad/sqrt(s), m/sqrt(s)]; the last is that of the vertical velocity, where that is used."""
     bias: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Constant bias [rad/s, m/s]."""
     bias_sigma: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -84,14 +84,14 @@ class DataConfig:
     packaged: PackagedConfig | None = None
     """Data from an installed package, with its own reference, in place of all other sources."""
     simulation: SimulationConfig | None = None
-    """The simulated drive: the data where ``file`` is null, the stand-in where the file is missing."""
+    """The simulated sequence: the data where ``file`` is null, the substitute where it is missing."""
     inertial: InertialConfig | None = None
     """What replaces the inertial samples of ``file``, or null."""
     redraw_inertial: RedrawConfig | None = None
     """Noise with which the motion of ``reference`` replaces the inertial data of ``file`` for each seed, or
     null; the results are then partly synthetic."""
     repair: RepairConfig = RepairConfig()
-    """The repairs, each by its name; they hold for a recording and for its stand-in."""
+    """The repairs, each by its name; they hold for a recording and for its synthetic substitute."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording, or null."""
 
@@ -116,7 +116,7 @@ consistent."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ClimbConfig:
-    """The climb rate as a measurement against gravity."""
+    """The vertical velocity as a measurement against gravity."""
 
     walk: Positive = 0.02
     """Random walk of the error of its integral [m/sqrt(s)]."""
@@ -153,7 +153,7 @@ class NoiseConfig:
     disparity_offset_sigma_px: NonNegative = 0.0
     """The same of a constant error of all disparities after ``repair.disparity_offset`` [px]."""
     climb: ClimbConfig | None = None
-    """How the climb rate is used; null: it is not."""
+    """How the vertical velocity is used; null: it is not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -224,8 +224,8 @@ class Config:
     lag_cov_every: Annotated[int, Field(ge=1)] = 10
     """Frames between two whose covariances are read at each lag, for the NEES."""
     bound: bool = False
-    """Compute the least that any estimator can err by, and hold all against it. Of a simulated drive alone,
-    whose noise is drawn as ``noise`` tells it and that has no fault."""
+    """Compute the least that any estimator can err by, and hold all against it. Of a simulated sequence alone,
+    without faults, whose noise is drawn as ``noise`` states."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Seed = 0
@@ -263,7 +263,8 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
 def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Config:
     """Return the configuration with other estimators.
 
-    A ladder that lacks one of its rungs is left out, and so is a check that needs one that is not there.
+    An ablation chain that lacks one of its steps is left out, and so is a check that needs one that is not
+    there.
     """
     ladder = config.ladder if config.ladder.keys() <= estimators.keys() else {}
     checks = tuple(check for check in config.checks if estimators.keys() >= set(check.runs))

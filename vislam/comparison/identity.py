@@ -1,4 +1,4 @@
-"""Identity: hashes of all that a result rests on, so that whatever has changed is computed again."""
+"""Identity: hashes of all that a result depends on, so that whatever has changed is computed again."""
 
 import hashlib
 import os
@@ -153,7 +153,7 @@ def _sources(name: str, *, whole: bool) -> list[tuple[str, Path]]:
 
 
 def _spec(name: str) -> ModuleSpec | None:
-    """Where a module would be imported from; None if that cannot be said."""
+    """Where a module would be imported from; None if that is unknown."""
     try:
         return find_spec(name)
     except Exception:

@@ -29,7 +29,7 @@ def with_trajectories(results: Results, given: Sequence[str]) -> Results:
     ConfigError
         If one of them cannot be understood, or a name is taken.
     DataError
-        If a file cannot be read or holds no poses of this drive.
+        If a file cannot be read or holds no poses of this sequence.
     """
     runs = dict(results.runs)
     for text in given:

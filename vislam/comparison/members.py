@@ -1,4 +1,4 @@
-"""What the sections under ``estimators`` say: a run's name, which estimator it is of, and its options."""
+"""The sections under ``estimators``: a run's name, its estimator, and its options."""
 
 import re
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ from vislam.models import Kernel
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MemberConfig:
-    """What any section under ``estimators`` may say beside the options of the estimator itself."""
+    """Keys of any section under ``estimators`` beside the options of the estimator itself."""
 
     estimator: str | None = None
     """Which estimator it is, so that two settings of one can be compared; null: the one it is named for."""
     observations: Literal["listed", "all"] = "listed"
-    """``listed``: those of the frozen list, where there is one (``frozen_by``). ``all``: all that the repairs
+    """``listed``: the common observation set, if there is one (``frozen_by``). ``all``: all that the repairs
     left, gated or not as the estimator's own options say."""
     kernel: KernelConfig | Literal["shared"] | None = "shared"
     """``shared``: that of the comparison. Another, or null for none, is for this run alone, whose information
@@ -42,7 +42,7 @@ class Member:
     options : mapping of str to Any
         The estimator's own.
     takes_all : bool
-        Whether it is given all observations where others are given a frozen list.
+        Whether it is given all observations where others are given a common observation set.
     kernel : KernelConfig, "shared" or None
         Its own robust kernel, or that of the comparison.
     """
@@ -85,7 +85,7 @@ class Unbuilt:
 
 
 def members(config: Config) -> dict[str, Member]:
-    """Members of a comparison by the name of their run, in order; a ConfigError names the key."""
+    """Estimators of a comparison by the name of their run, in order; a ConfigError names the key."""
     for name in config.ladder:
         if name not in config.estimators:
             raise ConfigError(f"ladder: expected names out of {', '.join(config.estimators)}, got {name}")

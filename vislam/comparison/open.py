@@ -34,7 +34,7 @@ class Dataset:
         Repaired.
     reference : Reference or None
     notes : tuple of str
-        What a reader of the report must know: stand-in, made odometry, missing reference.
+        What a reader of the report must know: synthetic substitute, made odometry, missing reference.
     implausible : tuple of Implausible
         What of the data as it was read is off by orders of magnitude.
     held_out : Sequence or None

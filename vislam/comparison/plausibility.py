@@ -1,4 +1,4 @@
-"""What no recording can be: units that are off by orders of magnitude.
+"""Plausibility of a recording: units that are wrong by orders of magnitude.
 
 A unit shows in the data alone. Stamps, baseline and lever arm have ranges that hold for a hand-held rig, a
 car and a drone alike; velocities and rates are held against the turn and the distance that the camera sees,
@@ -98,7 +98,7 @@ class Ratios:
 
 
 def implausible(sequence: Sequence, *, ratios: Ratios | None = None) -> list[Implausible]:
-    """Find what is off by orders of magnitude.
+    """Find what is wrong by orders of magnitude.
 
     Parameters
     ----------
@@ -257,12 +257,12 @@ def _against_camera(seen: Ratios) -> list[Implausible]:
 
 
 def distance_text(ratio: float) -> str:
-    """Say how the inertial distance stands to the camera's."""
+    """Compare the inertial distance with the camera's."""
     return f"the inertial data go {ratio:.3g} times as far as the camera sees"
 
 
 def turn_text(ratio: float, *, bound: str = "") -> str:
-    """Say how the inertial turn stands to the camera's."""
+    """Compare the inertial rotation with the camera's."""
     return f"the inertial data turn {bound}{ratio:.3g} times as far as the camera sees"
 
 

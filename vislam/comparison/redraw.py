@@ -29,8 +29,8 @@ def redraw(sequence: Sequence, reference: Reference, config: RedrawConfig, *, se
 
     Each step has the mean twist that takes the body from one reference pose to the next, a constant bias and
     white noise, independent of other steps', all through it; its clock is the camera's. Where the recording
-    has a climb rate, it is the reference's with the third noise of the velocity, and the body's own vertical
-    velocity stays what the repair makes of it, 0.
+    has a vertical velocity, it is the reference's with the third noise of the velocity, and the body's own
+    vertical velocity stays what the repair makes of it, 0.
 
     Parameters
     ----------

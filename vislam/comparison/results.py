@@ -64,7 +64,7 @@ class Results:
         return f"vislam {self.config.name}: {self.record.name}{mark}"
 
     def frozen_told(self) -> str:
-        """What there is to say of the frozen list; nothing without one."""
+        """Description of the common observation set; empty without one."""
         return "" if self.record.frozen is None else self.record.frozen.tell(self._own())
 
     def shared_information(self) -> list[SharedInformation]:
@@ -72,7 +72,7 @@ class Results:
         return shared_information(self._own(), self.record.frozen)
 
     def not_fused(self) -> dict[str, int]:
-        """How many observations of the frozen list each run that is bound to it did not fuse."""
+        """Observations of the common observation set that each run bound to it did not fuse."""
         return {} if self.record.frozen is None else self.record.frozen.not_fused(self._own())
 
     def _own(self) -> dict[str, Run]:

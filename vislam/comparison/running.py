@@ -89,7 +89,7 @@ class Runner:
     ) -> tuple[dict[str, Run], bool]:
         """Run the estimators one after the other, and whether it was interrupted.
 
-        With a frozen list, only what is on it is usable for all that it binds. Without one, what
+        With a common observation set, only what is on it is usable for all that it binds. Without one, what
         ``gates_from`` gates is not usable for all that follow.
 
         Each run is kept as soon as it has ended, whatever becomes of those after it. One that was interrupted

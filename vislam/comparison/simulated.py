@@ -1,4 +1,4 @@
-"""Simulated drives with all that they need: the recorded poses that a config may name among them."""
+"""Simulated sequences with all that they need: the recorded poses that a config may name among them."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ _ROUNDING = 0.01
 def simulated_drive(
     config: SimulationConfig, *, seed: int, name: str, folders: list[Path]
 ) -> tuple[Sequence, Truth]:
-    """Simulate a drive, along recorded poses if the config says so.
+    """Simulate a sequence, along recorded poses if the config says so.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def simulated_drive(
     DataError
         If the file of poses is missing or cannot be used.
     ConfigError
-        If the drive is to be longer than the poses.
+        If the sequence is to be longer than the poses.
     """
     path = None
     if config.recorded is not None:
