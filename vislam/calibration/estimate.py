@@ -1,4 +1,4 @@
-"""The calibration: choose observations by the gate, maximise, choose again, until choice and match rest."""
+"""The calibration: choose observations by the gate, maximise, choose again, until both have converged."""
 
 import logging
 import time
@@ -65,7 +65,7 @@ class Calibration:
         With all that was estimated.
     parameters : list of Calibrated
     bias, bias_sigma : (6,)
-        Twist bias over the drive and its standard deviation [rad/s, m/s].
+        Twist bias over the sequence and its standard deviation [rad/s, m/s].
     before, after : Run
         The filter with the config it started from and with the calibrated one, each with its own gate.
     """
@@ -124,7 +124,7 @@ def calibrate(
 
 @dataclass
 class _Reporter:
-    """Says how far the calibration is, and hands on the best config so far."""
+    """Reports the progress of the calibration, and passes on the best config so far."""
 
     say: Callable[[str], None]
     keep: Callable[[Config, str], None]
@@ -215,7 +215,7 @@ def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporte
     """Config whose pixel noise is scaled until the NIS per degree of freedom of the gated filter is 1.
 
     The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the
-    filter that runs with it lets others pass than those, and claims too much.
+    filter that runs with it lets others pass than those, and is overconfident.
     """
     for _ in range(_LEVELLINGS):
         ratio = run.nis_per_dof
@@ -234,7 +234,7 @@ def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporte
 
 
 def _bias(config: Config, evaluator: Evaluator, run: Run) -> tuple[Array, Array]:
-    """Constant bias of the whole drive and its standard deviation.
+    """Constant bias of the whole sequence and its standard deviation.
 
     Without a random walk the filter's last bias is the constant one given all the data: with the prior of the
     config, the maximum of the same likelihood.

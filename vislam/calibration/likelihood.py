@@ -20,7 +20,7 @@ from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
 _OPTIONS = EkfOptions(finished="as_left", track_errors="states")
-"""The standard filter, without the way back: only innovations are wanted."""
+"""The standard filter, without the backward pass: only innovations are wanted."""
 
 
 @dataclass(frozen=True)

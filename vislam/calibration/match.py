@@ -1,4 +1,4 @@
-"""Level of the stereo match error, read off the errors that the filter has found.
+"""Level of the stereo-matching bias, from the errors that the filter has estimated.
 
 Their distribution has heavy tails, which a Gaussian likelihood would follow; so the level is the one at which
 the median error is what the filter expects: a fixed point, with a robust standard deviation in place of the
@@ -16,7 +16,7 @@ from vislam.comparison.config import Config
 _ITERATIONS = 4
 _RESTS = 0.01
 _KNOWN = 0.5
-"""A match error counts when its variance has come down to this share of what it was at first sight."""
+"""A stereo-matching bias counts once its variance has fallen to this share of its initial value."""
 _FEWEST = 30
 _NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation from zero."""
@@ -34,7 +34,7 @@ class MatchLevel:
 
 
 def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
-    """Level of the match error on the evaluator's sequence, all other settings those of the config."""
+    """Level of the stereo-matching bias on the evaluator's sequence, with the config's other settings."""
     level, sigma = max(config.noise.match_px, 0.1), np.inf
     first_disparity = _first_disparities(evaluator)
     for _ in range(_ITERATIONS):

@@ -22,7 +22,7 @@ class Output:
         self.path, self.kept = path, ""
 
     def keep(self, config: Config, where: str) -> None:
-        """Write the best config so far, which says so."""
+        """Write the best config so far, marked as unfinished."""
         self._write(f"# calibration unfinished: {where}\n{configuration.dump(config)}")
         self.kept = where
 

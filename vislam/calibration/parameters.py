@@ -59,11 +59,11 @@ def parameters(
     Parameters
     ----------
     config : Config, optional
-        Where it uses a climb rate or a smooth motion of the body, their levels are searched too.
+        Where it uses a vertical velocity or a smooth motion of the body, their levels are searched too.
     inertial : bool
         The noise of the gyro and of the forward velocity too. Innovations reach no farther than a track, so
         they cannot tell noise that accumulates from vibration between the samples or an error that all tracks
-        share; on recorded drives that puts the level too high, and the heading then follows the camera.
+        share; on recorded sequences that puts the level too high, and the heading then follows the camera.
     disparity_offset : bool
         A constant error of all disparities.
     """

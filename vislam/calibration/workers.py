@@ -1,4 +1,4 @@
-"""Processes that share the runs of the filter: replaced when they are lost, and gone when the caller is."""
+"""Processes that share the runs of the filter: replaced when lost, and ended with the caller."""
 
 import logging
 import multiprocessing
