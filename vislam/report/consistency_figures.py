@@ -1,4 +1,4 @@
-"""Figures of what runs claim of themselves: against a reference, and against each other."""
+"""Figures of consistency: errors against covariances, and estimates against each other."""
 
 from collections.abc import Mapping
 
@@ -27,7 +27,7 @@ _LOWEST = 1e-3
 
 
 def main_claims(shown: Shown) -> dict[str, Normalised]:
-    """The errors beside claims that stand for each run's consistency, for those that have any."""
+    """The normalised errors that stand for each run's consistency, where it has any."""
     found = {}
     for name in shown.seeing():
         one = shown.scores[name]
@@ -62,7 +62,7 @@ def _title(claims: Mapping[str, Normalised]) -> str:
 
 
 def bands(shown: Shown) -> Figure | None:
-    """Each component of the error with the three standard deviations that were claimed of it."""
+    """Each component of the error within three estimated standard deviations."""
     claims = main_claims(shown)
     if not claims:
         return None
@@ -89,7 +89,7 @@ def bands(shown: Shown) -> Figure | None:
 
 
 def coverage(shown: Shown) -> Figure | None:
-    """Share of the errors within what was claimed, against the share that was claimed."""
+    """Share of the errors within the estimated bounds, against the nominal share."""
     claims = main_claims(shown)
     if not claims:
         return None

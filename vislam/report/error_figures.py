@@ -1,4 +1,4 @@
-"""Figures of errors: segments by length, rungs of a ladder, accuracy against time."""
+"""Figures of errors: segments by length, steps of an ablation chain, accuracy against time."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -47,7 +47,7 @@ def segment_errors(shown: Shown) -> Figure | None:
 
 
 def ladder(shown: Shown) -> Figure | None:
-    """Error of each rung, of its filtered and of its smoothed poses."""
+    """Error of each step, of its filtered and of its smoothed poses."""
     rungs = shown.rungs
     if not rungs:
         return None

@@ -18,7 +18,7 @@ def part(name: str) -> Markup:
 
 
 def inline_svg(name: str, drawing: Drawing) -> Markup:
-    """A figure as an element that says what it shows; ``name`` goes before its ids."""
+    """A figure as a labelled element; ``name`` goes before its ids."""
     svg = themed_svg(drawing.figure, name, colours=COLOURS)
     label = escape(f"{drawing.title}: {drawing.caption}")
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))

@@ -15,7 +15,7 @@ from vislam.report.table import Table
 
 
 def rungs_table(rungs: Sequence[Rung]) -> Table:
-    """A row for each rung of the ladder, against the one before."""
+    """A row for each step of the ablation chain, against the one before."""
     title = METRICS[rungs[0].key].short_title if rungs else ""
     header = ["rung", "adds"]
     header += [f"filtered {title} [m]", "change [m]", f"smoothed {title} [m]", "change [m]"]

@@ -1,4 +1,4 @@
-"""Where runs are drawn in space: laid on their reference, in a world whose numbers stay small."""
+"""Where runs are drawn in space: aligned to their reference, near the origin."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class Placed:
 
 
 def place(run: Run, reference: Reference | None) -> Placed:
-    """Lay a levelled run on the reference, at whose point its covariance is taken as well."""
+    """Align a levelled run to the reference, at whose point its covariance is evaluated as well."""
     body_T_point = np.eye(4) if reference is None else reference.imu_T_point
     drawn_T_world = np.eye(4)
     if reference is not None:
@@ -56,7 +56,7 @@ def place(run: Run, reference: Reference | None) -> Placed:
 
 
 def reference_T_world(run: Run, reference: Reference, *, planar: bool) -> Array | None:
-    """Motion ``(4, 4)`` that lays a levelled run on the reference; None where too little is in common.
+    """Transform ``(4, 4)`` that aligns a levelled run to the reference; None where too little overlaps.
 
     Parameters
     ----------

@@ -35,10 +35,10 @@ _ABOUT, _REFERENCE, _TRUE_LANDMARKS = "about", "reference", "true landmarks"
 def write_recording(path: Path, runs: Mapping[str, Run], record: Record, *, title: str) -> None:
     """Write results as an ``.rrd`` file, whole or not at all.
 
-    Its timelines are ``frame`` and ``time``, in seconds since the first frame of the drive. Each run has the
-    entities ``<run>/path``, ``causal_path`` where it differs, ``pose``, ``position_3_sigma``, ``landmarks``,
-    which come with the frame that first saw them, and the scalars ``step_time_ms``, ``nis_per_dof`` and
-    ``position_sigma`` (of the worst direction [m]), each where the run has it.
+    Its timelines are ``frame`` and ``time``, in seconds since the first frame of the sequence. Each run has
+    the entities ``<run>/path``, ``causal_path`` where it differs, ``pose``, ``position_3_sigma``,
+    ``landmarks``, which come with the frame that first saw them, and the scalars ``step_time_ms``,
+    ``nis_per_dof`` and ``position_sigma`` (of the worst direction [m]), each where the run has it.
 
     Raises
     ------

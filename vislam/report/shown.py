@@ -36,7 +36,7 @@ class Shown:
     runs : mapping of name to Run
         Levelled, and with at least three frames each.
     record : Record
-        Of the drive.
+        Of the sequence.
     evaluation : Evaluation
     rungs : sequence of Rung
     estimate : "filtered", "smoothed" or None
@@ -92,7 +92,7 @@ class Shown:
         return [name for name, run in self.runs.items() if len(run.landmarks)] or list(self.runs)
 
     def agreements(self) -> dict[tuple[str, str], Agreement]:
-        """Agreement of each two of these runs, of which both claim something, in one estimate."""
+        """Agreement of each two of these runs that both have covariances, in one estimate."""
         seeing, found = set(self.seeing()), {}
         for pair, scores in self.evaluation.pairs.items():
             one = scores.estimates.get(self.estimate) if self.estimate is not None else None
@@ -109,7 +109,7 @@ class Shown:
         return run.stamp - self.record.stamp[0]
 
     def drawn_T_world(self, name: str, *, planar: bool) -> Array:
-        """Motion ``(4, 4)`` that lays a run on the reference; the identity where that cannot be told."""
+        """Transform ``(4, 4)`` that aligns a run to the reference; the identity where there is none."""
         found = self.scores[name].trajectory
         if found is None:
             return np.eye(4)

@@ -1,4 +1,4 @@
-"""The drive from above: all the paths, and the map of each estimator by how sure it is of it."""
+"""Top view: all trajectories, and the map of each estimator by its estimated uncertainty."""
 
 import numpy as np
 from matplotlib import colormaps
@@ -63,7 +63,7 @@ def _limits(shown: Shown) -> tuple[Array, Array]:
             [run.final.world_T_imu[:, :2, 3] for run in shown.runs.values()] or [np.eye(2)]
         )
     low, high = points.min(axis=0), points.max(axis=0)
-    # The shorter side is given something as well: a straight drive would be a line.
+    # The shorter side is given something as well: a straight path would be a line.
     margin = 0.12 * float((high - low).max()) + 5.0
     return low - margin, high + margin
 
