@@ -23,12 +23,12 @@ _log = logging.getLogger("vislam.cli.command")
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser of a command's options, which says in one line what is wrong with them."""
+    """Parser of a command's options, whose errors are one line."""
 
     needs_config = False
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse; whoever reads ``--help`` may stop in the middle."""
+        """Parse; a reader of ``--help`` may stop in the middle."""
         with lasting_streams():
             options = super().parse_args(args, namespace)
             named = vars(options).pop("named", None)
@@ -41,12 +41,12 @@ class Parser(argparse.ArgumentParser):
             return options
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and exit."""
+        """Report the error in one line and exit."""
         self.exit(2, f"vislam: {one_line(message)}; --help says what there is\n")
 
 
 def add_config_options(parser: Parser, *, required: bool = True) -> None:
-    """Add the options that name a config, override its values and say where the data is."""
+    """Add the options that name a config, override its values and locate the data."""
     add_override_options(parser, required=required)
     add = parser.add_argument
     add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
@@ -80,7 +80,7 @@ def _config(text: str) -> Path:
 
 
 def add_check_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what results are to be held against, and where to write what came of it."""
+    """Add the options of checks: what results are compared with, and where the outcome is written."""
     add = parser.add_argument
     add("--against", type=Path, metavar="METRICS", help="saved metrics.json, or its folder, to compare with")
     add(
@@ -100,7 +100,7 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_bad_check_options(options: argparse.Namespace) -> None:
-    """Raise ConfigError or DataError for what no run could mend."""
+    """Raise ConfigError or DataError for options that would fail after the run."""
     if not 0.0 <= options.tolerance < float("inf"):
         raise ConfigError(f"--tolerance must be >= 0 and finite, got {options.tolerance}")
     if options.rerun is not None and find_spec("rerun") is None:
@@ -134,7 +134,7 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def answer(work: Callable[[], int], *, verbose: bool) -> int:
-    """Do the work of a command and return its exit code; what goes wrong becomes one line."""
+    """Do the work of a command and return its exit code; an error becomes one line."""
     with lasting_streams():
         logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
         try:

@@ -73,7 +73,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:
-    """Choose estimators, and say how many checks of others that leaves out."""
+    """Choose estimators, and report how many checks of others that leaves out."""
     from vislam.comparison import config as configuration  # noqa: PLC0415
 
     chosen = configuration.with_estimators(config, estimators)

@@ -1,4 +1,4 @@
-"""``vislam``: one command, whose first word says what is to be done."""
+"""``vislam``: one command with subcommands."""
 
 import sys
 from collections.abc import Sequence

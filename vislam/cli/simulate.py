@@ -1,7 +1,7 @@
-"""``python -m vislam.simulate``: the simulated drive of a config as a course file, with its truth.
+"""``python -m vislam.simulate``: the simulated sequence of a config as a course file, with its truth.
 
-The drive is that of ``data.simulation``, faults included; the truth is a TUM file next to it. Exit codes:
-0 done, 2 bad config or recorded path, or a drive that the format cannot hold.
+The sequence is that of ``data.simulation``, faults included; the truth is a TUM file next to it. Exit codes:
+0 done, 2 bad config or recorded path, or a sequence that the format cannot hold.
 """
 
 import argparse

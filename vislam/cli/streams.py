@@ -1,4 +1,4 @@
-"""Standard output and error that outlast whoever reads them."""
+"""Standard output and error that outlast their reader."""
 
 import io
 import os
