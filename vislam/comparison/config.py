@@ -224,8 +224,8 @@ class Config:
     lag_cov_every: Annotated[int, Field(ge=1)] = 10
     """Frames between two whose covariances are read at each lag, for the NEES."""
     bound: bool = False
-    """Compute the least that any estimator can err by, and hold all against it. Of a simulated sequence alone,
-    without faults, whose noise is drawn as ``noise`` states."""
+    """Compute the posterior Cramer-Rao bound, and compare all with it. Only for a simulated sequence without
+    faults whose noise is drawn as ``noise`` states."""
     blas_threads: Annotated[int, Field(ge=1)] = 1
     """Threads of the linear algebra; the matrices are small."""
     seed: Seed = 0
