@@ -26,6 +26,10 @@ def test_no_metric_is_made_up(computed):
     assert METRICS.keys() - computed.keys() <= {
         "nees_position_planar",
         "nees_position_aligned",
+        "scale_gap_position_planar",
+        "scale_gap_position_aligned",
+        "coverage_90_position_planar",
+        "coverage_90_position_aligned",
         "kitti_t_rel",
         "kitti_r_rel",
         "yaw_information_gained",

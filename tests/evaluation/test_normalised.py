@@ -17,6 +17,7 @@ from vislam.evaluation.alignment import align
 from vislam.evaluation.normalised import (
     PARTS,
     PROBABILITIES,
+    Normalised,
     bias_errors,
     nis_statistic,
     nis_whiteness,
@@ -314,3 +315,14 @@ def test_dead_reckoning_whose_errors_never_decorrelate_is_accused_no_more_often_
             assert np.sum(found < nominal) <= binom.ppf(0.999, 100, nominal)
     bold = [p_values(made_run("one", estimates[:, k], cov=cov / 9.0), reference) for k in range(100)]
     assert np.mean([one["pose"] < SUSPECT for one in bold]) > 0.8
+
+
+def test_the_scale_gap_and_the_90_percent_region_are_those_of_the_medians(rng):
+    """By hand, as an outside tool defines them: root of the median NEES over the median of chi-square."""
+    whitened = 3.0 * rng.normal(size=(4000, 3))
+    claim = Normalised("nees_position", np.arange(4000), whitened, np.ones((4000, 3)), whitened, "")
+    by_hand = np.sqrt(np.median(np.sum(whitened**2, axis=1)) / 2.365974)
+    assert claim.scale_gap() == pytest.approx(by_hand, rel=1e-6)
+    assert claim.scale_gap() == pytest.approx(3.0, rel=0.05)
+    held = np.mean(np.sum(whitened**2, axis=1) <= 6.251389)
+    assert claim.coverage_curve(np.array([0.9]))[0] == pytest.approx(held, abs=1e-9)

@@ -23,12 +23,14 @@ from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import Rung, attribute
 from vislam.evaluation.information import SharedInformation, shared_information, unequal_line
 from vislam.evaluation.metric import ESTIMATE_TITLES
+from vislam.evaluation.spread import Spread
 from vislam.report.figures import all_figures
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
-from vislam.report.table import SHORT, comparison_tables
+from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
+from vislam.report.verdict import answer
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 2
@@ -50,12 +52,15 @@ class Results:
         In their order.
     interrupted : bool
         Whether it was stopped before all runs had ended.
+    spread : Spread or None
+        What choices of the settings do to the errors; None until that has been tried.
     """
 
     config: Config
     record: Record
     runs: dict[str, Run]
     interrupted: bool = False
+    spread: Spread | None = None
 
     @property
     def title(self) -> str:
@@ -180,6 +185,7 @@ def _write_report(
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=configuration.dump(results.config),
         unequal=unequal_line(results.shared_information()),
+        spread=results.spread,
     )
 
 
@@ -237,11 +243,18 @@ def metrics_document(
 
 def announce(results: Results, published: Published, progress: Progress) -> None:
     """Print the closing table, where to read on, and what must not be overlooked."""
-    for estimate, table in comparison_tables(results.runs, published.evaluation, keys=SHORT).items():
+    unequal = unequal_line(results.shared_information())
+    tables = comparison_tables(results.runs, published.evaluation, keys=SHORT, marks=True)
+    for estimate, table in tables.items():
         progress.rows(table.header, table.rows, title=f"{results.title}, {ESTIMATE_TITLES[estimate]}")
+    progress.note(MARKS)
+    for sentence in answer(
+        results.runs, published.evaluation, results.record.reference, unequal=unequal, spread=results.spread
+    ):
+        progress.note(sentence)
     if told := results.frozen_told():
         progress.note(told)
-    if unequal := unequal_line(results.shared_information()):
+    if unequal:
         progress.note(unequal)
     progress.note(f"{published.path.stem}: {published.path}")
     for name, run in results.runs.items():

@@ -157,6 +157,13 @@ def headline(reference: Reference) -> str:
     return "ate_planar_rmse" if reference.planar else "ate_rmse"
 
 
+def inertial_path(record: Record) -> float:
+    """Length of the path by the inertial data alone [m]; NaN where the record lacks them."""
+    if record.step_twist is None:
+        return float("nan")
+    return float(np.linalg.norm(record.step_twist[1:, 3:], axis=1) @ np.diff(record.stamp))
+
+
 def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
     """Score runs, in their order.
 
@@ -174,7 +181,10 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
         (a, b): score_pair(scores[a], scores[b], record, equal=(a, b) in equal)
         for a, b in combinations(scores, 2)
     }
-    found = [metric for one in scores.values() for metric in metrics.of_run(one, against)]
+    travelled = inertial_path(record)
+    found = [
+        metric for one in scores.values() for metric in metrics.of_run(one, against, travelled=travelled)
+    ]
     for (a, b), pair in pairs.items():
         found += metrics.of_pair(scores[a], scores[b], pair)
     return Evaluation(

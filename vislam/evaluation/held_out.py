@@ -110,6 +110,12 @@ class Paired:
     p_value: float
     gain: float
 
+    @property
+    def p_told(self) -> str:
+        """The p-value in words: the smallest that random swaps can give is a bound."""
+        floor = 1.0 / (1 + _DRAWS)
+        return f"p < {2.0 * floor:.1g}" if self.p_value <= floor else f"p {self.p_value:.2g}"
+
 
 def hold_out(track: IntArray, *, share: float, seed: int) -> BoolArray:
     """Choose about a share of the tracks that have enough views to be scored, whole tracks.

@@ -9,6 +9,7 @@ from vislam.base.types import Array
 from vislam.core.run import Estimate, Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
+from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.maps import MapDifference
 from vislam.evaluation.metric import LAG_METRICS, at_lag
 from vislam.evaluation.normalised import MULTIPLES, Normalised
@@ -20,6 +21,8 @@ from vislam.geometry import se3
 
 _SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
 _YAW = 2
+_AS_A_PERSON = ("pose", "position", "position_planar", "position_aligned")
+"""Parts of which consistency is stated by the scale of the sigmas and by a region, too."""
 _FEWEST = 3
 """Common frames without which two trajectories are not compared."""
 
@@ -51,8 +54,17 @@ class Metric:
     estimate: Estimate | None = None
 
 
-def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
-    """Metrics of one run; ``reference`` is the name of what it was scored against."""
+def of_run(scores: RunScores, reference: str, *, travelled: float = np.nan) -> Iterator[Metric]:
+    """Metrics of one run.
+
+    Parameters
+    ----------
+    scores : RunScores
+    reference : str
+        Name of what it was scored against.
+    travelled : float
+        Length of the path by the inertial data alone [m]; NaN where it is not known.
+    """
     name = scores.run.name
     for estimate, found in scores.estimates.items():
         for key, value, unit, convention in _against(found):
@@ -64,6 +76,7 @@ def of_run(scores: RunScores, reference: str) -> Iterator[Metric]:
     if scores.bias is not None:
         for key, value, unit, convention in _claim(scores.bias, scores.statistics[scores.bias.name]):
             yield Metric(name, key, value, unit, reference, convention)
+    yield Metric(name, "path_length_inertial", travelled, "m", convention="speed by the inertial data alone")
     for key, value, unit in (*_cost(scores.run), *_innovations(scores)):
         yield Metric(name, key, value, unit)
     yield from _lags(scores, reference)
@@ -188,6 +201,16 @@ def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float
     for multiple, share in zip(MULTIPLES, shares, strict=True):
         key = f"coverage_{claim.name.removeprefix('nees_')}_{multiple:g}sigma"
         yield key, float(share), "1", "mean over the components"
+    part = claim.name.removeprefix("nees_")
+    if part in _AS_A_PERSON:
+        yield (
+            f"scale_gap_{part}",
+            claim.scale_gap(),
+            "1",
+            "errors over sigmas, an axis, by the medians",
+        )
+        told = "share of the frames whose error lies within the estimated 90 % region"
+        yield f"coverage_90_{part}", float(claim.coverage_curve(np.array([0.9]))[0]), "1", told
 
 
 def _of_itself(run: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:
@@ -240,6 +263,9 @@ def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Me
             yield Metric(pair, key, value, unit, estimate=estimate)
         for key, value, convention in _agreement(found):
             yield Metric(pair, key, value, "1", convention=convention, estimate=estimate)
+        for key, value, unit in _errors_apart(found.error):
+            told = "ATE of the first less that of the second, 95 % interval by blocks of the path"
+            yield Metric(pair, key, value, unit, convention=told, estimate=estimate)
     for key, value, convention in _smoothing(scores.smoothing):
         yield Metric(pair, key, value, "1", convention=convention)
     if scores.by_sum is not None:
@@ -250,6 +276,15 @@ def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Me
     both = ends[0] if ends[0] == ends[1] else None
     for key, value, unit, convention in _maps_apart(one.run, other.run, scores.map):
         yield Metric(pair, key, value, unit, convention=f"{told}; {convention}", estimate=both)
+
+
+def _errors_apart(found: ErrorDifference | None) -> Iterator[tuple[str, float, str]]:
+    """How far the errors of two runs are apart."""
+    if found is not None:
+        yield "difference_ate", found.value, "m"
+        yield "difference_ate_low", found.low, "m"
+        yield "difference_ate_high", found.high, "m"
+        yield "difference_ate_blocks", found.blocks, "1"
 
 
 def _apart(one: Run, other: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:

@@ -73,6 +73,13 @@ class Normalised:
         """Average over all."""
         return statistics.of_errors(self.name, self.whitened, convention=self.convention, fitted=self.fitted)
 
+    def scale_gap(self) -> float:
+        """How many times larger errors are than the sigmas say, an axis: root of median NEES over its own.
+
+        Medians, so that some bad frames do not count; 1 is expected.
+        """
+        return float(np.sqrt(np.median(self.nees) / chi2.ppf(0.5, self.whitened.shape[1])))
+
     def coverage_curve(self, probabilities: Array = PROBABILITIES) -> Array:
         """Share of the NEES within the chi-square quantile of each probability ``(p,)``; equal if sound."""
         within = chi2.cdf(np.sort(self.nees), self.whitened.shape[1])

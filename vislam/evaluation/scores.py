@@ -15,6 +15,7 @@ from vislam.core.trajectory import Poses
 from vislam.evaluation import maps, normalised, smoothing
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
 from vislam.evaluation.degenerate import degeneracies
+from vislam.evaluation.difference import ErrorDifference, ate_difference
 from vislam.evaluation.efficiency import Efficiency, efficiency
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.lag import LagScores, score_lags
@@ -122,22 +123,26 @@ class RunScores:
 
 @dataclass(frozen=True)
 class EstimatePair:
-    """What is known of the same estimate of two runs together, with no reference involved.
+    """What is known of the same estimate of two runs together.
 
     Attributes
     ----------
     agreement : Agreement or None
         Of their poses; None where one of them claims nothing.
     held_out : Paired or None
+    error : ErrorDifference or None
+        ATE of the first less that of the second, with the alignment of the headline; None without a
+        reference.
     """
 
     agreement: Agreement | None
     held_out: Paired | None
+    error: ErrorDifference | None = None
 
 
 @dataclass(frozen=True)
 class PairScores:
-    """What is known of two runs together, with no reference involved.
+    """What is known of two runs together.
 
     Attributes
     ----------
@@ -276,6 +281,7 @@ def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool 
             estimate: EstimatePair(
                 agreement=agreement(one.run, other.run, estimates=(estimate, estimate)),
                 held_out=_paired(one.estimates[estimate].held_out, other.estimates[estimate].held_out),
+                error=_difference(one.estimates[estimate].trajectory, other.estimates[estimate].trajectory),
             )
             for estimate in shared_estimates(one.run, other.run)
         },
@@ -294,6 +300,10 @@ def _smoothing(one: Run, other: Run) -> dict[str, Any]:
     found = smoothing_difference(first, second)
     by_sum = None if found is None else agreement(first, second, estimates=("filtered", "smoothed"))
     return {"smoothing": found, "by_sum": by_sum}
+
+
+def _difference(one: TrajectoryScores | None, other: TrajectoryScores | None) -> ErrorDifference | None:
+    return None if one is None or other is None else ate_difference(one.headline, other.headline)
 
 
 def _paired(one: HeldOutScore | None, other: HeldOutScore | None) -> Paired | None:

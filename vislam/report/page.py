@@ -19,6 +19,7 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.definitions import DEFINITIONS
 from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
+from vislam.evaluation.spread import Spread
 from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
@@ -28,6 +29,7 @@ from vislam.report.page_tables import (
     pairs_table,
     repairs_table,
     rungs_table,
+    smoothing_table,
     worst_table,
 )
 from vislam.report.table import Table, comparison_tables
@@ -52,6 +54,7 @@ def write_page(
     config: str,
     checks: Sequence[tuple[bool | None, str]] = (),
     unequal: str = "",
+    spread: Spread | None = None,
 ) -> None:
     """Write the page, whole or not at all; it needs no other file and no network.
 
@@ -63,6 +66,8 @@ def write_page(
         Shown first; None where it cannot be told whether a check holds.
     unequal : str
         In what the runs' information differed; empty if in nothing.
+    spread : Spread or None
+        What choices of the settings do to the errors, as far as that is known.
     """
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
@@ -74,13 +79,14 @@ def write_page(
         notes=notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=checks,
-        verdict=verdict(runs, evaluation, reference, unequal=unequal),
+        verdict=verdict(runs, evaluation, reference, unequal=unequal, spread=spread),
         reference=reference,
         tables=[(ESTIMATE_TITLES[estimate], _turned(table)) for estimate, table in tables.items()],
         defined={spec.label: f"metric-{spec.key}" for spec in shown},
         definitions=[(spec.key, spec.label, DEFINITIONS[spec.key]) for spec in shown],
         rungs=rungs_table(rungs),
         pairs=pairs_table(evaluation),
+        smoothing=smoothing_table(evaluation),
         maps=maps_table(evaluation),
         worst=worst_table(evaluation),
         lags=lags_table(evaluation),

@@ -8,8 +8,10 @@ from vislam.core.run import Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
+from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import mean_step_ms
 from vislam.evaluation.metric import LAG_METRICS, METRICS
+from vislam.evaluation.smoothing import SmoothingDifference
 from vislam.evaluation.trajectory_scores import WORST_LENGTH
 from vislam.report.table import Table
 
@@ -44,7 +46,8 @@ def pairs_table(evaluation: Evaluation) -> Table:
 
     The maps are those of the final estimates.
     """
-    header = ["estimators", "estimate", "apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
+    header = ["estimators", "estimate", "ATE of the first less the second [m]", "95 % interval"]
+    header += ["apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
     header += [
         "squared distance per degree of freedom",
         "poses beyond 95 %",
@@ -66,8 +69,44 @@ def pairs_table(evaluation: Evaluation) -> Table:
             values = [evaluation.value(f"{one}|{other}", key, estimate) for key in keys]
             better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
             apart = [_metres(value, ".2f") for value in values]
-            rows.append([f"{one} and {other}", estimate, *apart, *told, *better])
+            rows.append([f"{one} and {other}", estimate, *_error(pair.error), *apart, *told, *better])
     return Table(header, rows)
+
+
+def _error(found: ErrorDifference | None) -> list[str]:
+    """Difference of two ATEs and its interval."""
+    if found is None:
+        return ["-", "-"]
+    if not found.known:
+        return [f"{found.value:+.2f}", "cannot be told"]
+    return [f"{found.value:+.2f}", f"{found.low:+.2f} to {found.high:+.2f}"]
+
+
+def smoothing_table(evaluation: Evaluation) -> Table:
+    """Filtered against smoothed poses, on equal information, by both scales."""
+    header = ["filtered and smoothed", "by the difference of covariances", "expected", "frames"]
+    header += ["more certain filtered than smoothed", "by the sum"]
+    rows = [
+        [name, *_by_difference(one.smoothing), "-"]
+        for name, one in evaluation.scores.items()
+        if one.smoothing is not None
+    ]
+    rows += [
+        [" and ".join(pair), *_by_difference(two.smoothing), f"{two.by_sum.per_freedom:.2f}"]
+        for pair, two in evaluation.pairs.items()
+        if two.smoothing is not None and two.by_sum is not None
+    ]
+    return Table(header, rows)
+
+
+def _by_difference(found: SmoothingDifference) -> list[str]:
+    """Value, what is expected of it, frames, and frames that are counted and not tested."""
+    statistic = found.statistic()
+    if statistic is None:
+        return ["-", "-", "0", str(found.indefinite)]
+    low, high = statistic.interval(0.95)
+    told = [f"{statistic.value:.2f}", f"{low:.2f} to {high:.2f}", str(statistic.samples)]
+    return [*told, str(found.indefinite)]
 
 
 def maps_table(evaluation: Evaluation) -> Table:

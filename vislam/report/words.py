@@ -1,0 +1,18 @@
+"""Lists of runs in sentences."""
+
+from collections.abc import Sequence
+
+
+def listed(ranked: Sequence[tuple[float, str]], digits: int, unit: str) -> str:
+    """Names with their values."""
+    return ", ".join(f"{name} {value:.{digits}f} {unit}" for value, name in ranked)
+
+
+def named(names: Sequence[str]) -> str:
+    """Names, the last joined by "and"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+
+
+def times(value: float) -> str:
+    """How many times, as finely as anybody reads it."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
