@@ -17,6 +17,9 @@ DEFINITIONS = {
         "Tracks withheld from every estimator are triangulated from half of their observations at the "
         "estimated poses and predicted in the other half: median over the tracks of the RMS pixel error."
     ),
+    "path_length_inertial": (
+        "Path length of the recorded inertial data alone, integrated without the camera."
+    ),
     "path_length": "Sum of the distances between successive estimated positions.",
     "height_end": "z of the last position, in the world frame of the first pose.",
     "kitti_t_rel": (
@@ -42,6 +45,19 @@ DEFINITIONS = {
         "to minimise it, so the test is one-sided: only values above 1 count against the estimator."
     ),
     "nees_position_aligned": "The same for the position in space.",
+    "scale_gap_pose": (
+        "Square root of the median NEES of the pose over the median of chi-square with as many degrees of "
+        "freedom: how many times too small the estimated sigmas are. 1 is expected."
+    ),
+    "scale_gap_position": "The same for the position, three degrees of freedom.",
+    "scale_gap_position_planar": "The same for the horizontal position, two degrees of freedom.",
+    "scale_gap_position_aligned": "The same for the position in space after the alignment.",
+    "coverage_90_pose": (
+        "Share of the frames whose 90 % confidence region of the pose holds the reference. 0.9 is expected."
+    ),
+    "coverage_90_position": "The same for the position.",
+    "coverage_90_position_planar": "The same for the horizontal position.",
+    "coverage_90_position_aligned": "The same for the position in space after the alignment.",
     "nis_per_dof": (
         "Normalised innovation squared, nu' S^-1 nu divided by its degrees of freedom, over the accepted "
         "observations of the whole run. 1 is expected; below it the stated noise is too large."
