@@ -111,7 +111,7 @@ def rigid_fits(sequence: Sequence, pairs: Continuations) -> dict[int, RigidFit]:
     """
     z = sequence.z
     points = sequence.rig.back_project(z)
-    spread = _FLOOR_PX + _SHARE * sequence.disparity[:, None]
+    spread = step_spread(sequence.disparity)
     guess = predicted_steps(sequence)
     fits = {}
     for k in np.flatnonzero(np.diff(pairs.start) >= FEWEST):
@@ -144,8 +144,8 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
         jacobian = np.concatenate([-jacobian @ so3.hat(moved), jacobian], axis=2)
         jacobian = MIXING @ jacobian / spread[:, :, None]
         square = np.einsum("ni,ni->n", residual, residual)
-        scale = _scale(square)
-        weight = 1.0 / (1.0 + square / (_TUNING * scale) ** 2) ** 2
+        scale = robust_scale(square)
+        weight = robust_weight(square, scale)
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
         information = weighted.T @ jacobian.reshape(-1, 6)
         # From a bad guess the points can all come to lie in one direction, which leaves the rest open.
@@ -156,11 +156,22 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
             break
     moved = _in_front(se3.transform(motion, points))
     residual = (z - rig.project(moved)) @ MIXING.T / spread
-    scale = _scale(np.einsum("ni,ni->n", residual, residual))
-    return RigidFit(motion, residual / scale, spread * scale, scale**2 * np.linalg.inv(information))
+    scale = robust_scale(np.einsum("ni,ni->n", residual, residual))
+    cov = np.asarray(scale**2 * np.linalg.inv(information))
+    return RigidFit(motion, residual / scale, spread * scale, cov)
 
 
-def _scale(square: Array) -> float:
+def step_spread(disparity: Array) -> Array:
+    """Spread ``(n, 3)`` [px] of (mean column, disparity, row) over a step, up to a common factor."""
+    return np.asarray(_FLOOR_PX + _SHARE * disparity[:, None])
+
+
+def robust_weight(square: Array, scale: float) -> Array:
+    """Geman-McClure weights of residuals, from their squared norms."""
+    return np.asarray(1.0 / (1.0 + square / (_TUNING * scale) ** 2) ** 2)
+
+
+def robust_scale(square: Array) -> float:
     """Robust standard deviation of residuals, from their squared norms."""
     return max(float(np.sqrt(np.median(square))) / _MEDIAN_CHI3, _SMALLEST_SCALE)
 

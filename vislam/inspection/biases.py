@@ -5,9 +5,12 @@ velocity that points beside the body's axis. Both are fitted beside it, so where
 bias cannot be told, and its interval says so.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.pooled_fit import TwistError
 from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean
 from vislam.inspection.motion import VisionSteps
@@ -34,8 +37,30 @@ def check_biases(
         for i in range(3)
     ]
     velocity, along = _velocity_biases(inertial[:, 3:], steps.twist[:, 3:])
-    measured = (*gyro, *velocity)
-    mean, sigma = np.array(bias_mean), np.array(bias_sigma)
+    return _judged((*gyro, *velocity), along, mean=np.array(bias_mean), sigma=np.array(bias_sigma))
+
+
+def check_biases_of_few(
+    sequence: Sequence, error: TwistError, *, bias_mean: tuple[float, ...], bias_sigma: tuple[float, ...]
+) -> Finding:
+    """Biases against the configured prior from all tracks together, where single steps show too few."""
+    names = [f"gyro bias {a}" for a in _AXES] + [f"velocity bias {a}" for a in _AXES]
+    sigma = np.sqrt(np.diagonal(error.cov))
+    measured = tuple(
+        Measured.around(
+            name, "rad/s" if index < 3 else "m/s", float(error.bias[index]), sigma=float(sigma[index])
+        )
+        for index, name in enumerate(names)
+    )
+    speed = float(np.median(np.abs(sequence.step_means()[0][:, 3])))
+    # Ahead, what goes with the speed is the camera's scale.
+    along = np.array([0.0, 0.0, 0.0, 0.0, *(speed * np.abs(error.direction[1:]))])
+    found = _judged(measured, along, mean=np.array(bias_mean), sigma=np.array(bias_sigma))
+    return replace(found, text=f"{found.text}; from all tracks together, as single steps show too few")
+
+
+def _judged(measured: tuple[Measured, ...], along: Array, *, mean: Array, sigma: Array) -> Finding:
+    """Biases against a prior ``mean (6,)``, ``sigma (6,)``, and the one that the data support."""
     value, error = (np.array([getattr(item, name) for item in measured]) for name in ("value", "sigma"))
     told = np.isfinite(value) & np.isfinite(error)
     value, error = np.where(told, value, 0.0), np.where(told, error, np.inf)

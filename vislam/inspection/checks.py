@@ -9,6 +9,7 @@ from vislam.base.settings import LONGEST_NAME
 from vislam.base.types import Array
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
+from vislam.core.pooled_fit import inertial_pairs, twist_error
 from vislam.core.rigid_fit import RigidFit, continuations, rigid_fits
 from vislam.core.sequence import Sequence
 from vislam.evaluation.held_out import hold_out
@@ -41,6 +42,8 @@ _NEEDS_MOTION = (
     "noise.bias_sigma",
 )
 """What is told by the camera's own motion."""
+_TOLD_TOGETHER = ("data.repair.consensus", "noise.bias_mean", "noise.bias_sigma")
+"""What of it the tracks of all steps together tell, too."""
 _DROPPING = ("disparity", "consensus", "stale_tracks")
 
 
@@ -219,15 +222,30 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
 
 
 def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> None:
-    """Say what was not looked at, as the camera shows too little of its motion."""
-    text = f"only {frames} frames have tracks enough to see their motion: nothing more can be told"
-    unknown = dict.fromkeys(_NEEDS_MOTION, f"not looked at: only {frames} frames show the camera's motion")
-    book.enter(Finding("motion", "unclear", text, unknown=unknown))
-    repair = config.data.repair
+    """Say what was not looked at, as single steps show too little of it, and what all together tell."""
+    repair, noise = config.data.repair, config.noise
     levelled = repair.levelled_velocity is not None
-    if not levelled:
-        levelled = _levelled(book.enter(motion.third_component_unseen(cut)), repair)
-    book.enter(motion.check_inertial_noise(cut, density=config.noise.twist_density, heave=levelled))
+    third = None if levelled else motion.third_component_unseen(cut)
+    levelled = levelled or (third is not None and _levelled(third, repair))
+    voted = Consensus().apply(LevelledVelocity().apply(cut) if levelled else cut)
+    error = twist_error(inertial_pairs(voted))
+    told = _TOLD_TOGETHER if error is not None else ()
+    untold = [path for path in _NEEDS_MOTION if path not in told]
+    text = f"only {frames} frames have tracks enough to see their motion: "
+    text += (
+        "all together tell the biases and who leaves the rest, no more"
+        if told
+        else "nothing more can be told"
+    )
+    unknown = dict.fromkeys(untold, f"not looked at: only {frames} frames show the camera's motion")
+    book.enter(Finding("motion", "unclear", text, unknown=unknown))
+    if third is not None:
+        book.enter(third)
+    if error is not None:
+        priors = {"bias_mean": noise.bias_mean, "bias_sigma": noise.bias_sigma}
+        book.enter(biases.check_biases_of_few(voted, error, **priors))
+        book.enter(pixels.check_moving(voted, consensus=repair.consensus is not None))
+    book.enter(motion.check_inertial_noise(cut, density=noise.twist_density, heave=levelled))
 
 
 def bare_tree(name: str, file: str) -> dict[str, Any]:

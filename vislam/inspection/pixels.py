@@ -150,7 +150,7 @@ def _within_gate(values: Array) -> float:
 
 def check_moving(voted: Sequence, *, consensus: bool) -> Finding:
     """Share of steps that the rigid motion of their frame does not explain, counted by the consensus cut."""
-    cuts = voted.counts["inconsistent_cuts"]
+    cuts = voted.counts["inconsistent_cuts"] + voted.counts["inconsistent_cuts_few_tracks"]
     steps = len(continuations(voted).before) + cuts
     share = cuts / max(steps, 1)
     counts = {"share": share, "steps": steps}

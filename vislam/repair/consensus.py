@@ -1,8 +1,9 @@
 """Repair of tracks that follow something else: vehicles, reflections, slipping patches.
 
 They are consistent with themselves, so a gate on single innovations lets them through, and they bend the
-estimate. Between two frames the tracks vote on the camera's motion, and a step many deviations off it
-starts a new track. A track that never agrees falls to single sightings, which say nothing.
+estimate. Between two frames the tracks vote on the camera's motion, and a step many deviations off it starts
+a new track. A track that never agrees falls to single sightings, which say nothing. Where fewer tracks go on
+than can decide among themselves, the inertial step votes with them (:mod:`vislam.core.inertial_vote`).
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, Positive
 from vislam.base.types import Array
+from vislam.core.inertial_vote import few_track_distances
 from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.core.sequence import Sequence
 from vislam.repair.tracks import start_new_tracks
@@ -25,7 +27,13 @@ class Consensus:
     def apply(self, sequence: Sequence) -> Sequence:
         """Cut the tracks there; stale tracks must have been cut before."""
         off = np.nan_to_num(np.linalg.norm(step_residuals(sequence), axis=1)) > self.threshold
-        return start_new_tracks(sequence, off, inconsistent_cuts=int(off.sum()))
+        beside_inertia = np.nan_to_num(few_track_distances(sequence)) > self.threshold
+        return start_new_tracks(
+            sequence,
+            off | beside_inertia,
+            inconsistent_cuts=int(off.sum()),
+            inconsistent_cuts_few_tracks=int(beside_inertia.sum()),
+        )
 
 
 def step_residuals(sequence: Sequence) -> Array:
