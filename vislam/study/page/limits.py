@@ -46,7 +46,7 @@ def lags_table(trials: Trials) -> Table:
 
 def lag_means(trials: Trials, name: str, *, rows: IntArray) -> list[LagScores]:
     """Mean of each metric of an estimator at each lag, the shortest first; none if it has no lags."""
-    period = mean(trials, name, PERIOD, rows=rows) if trials.has(PERIOD) else None
+    period = mean(trials, name, PERIOD, rows=rows) if PERIOD in _held(trials) else None
     found = []
     for label in _labels(trials) if period is not None else []:
         means = {key: mean(trials, name, at_lag(key, label), rows=rows) for key in LAG_METRICS}
@@ -103,7 +103,7 @@ def waiting(trials: Trials) -> Iterator[str]:
 
 def bound_table(trials: Trials) -> Table:
     """A row for each point and estimator: squared errors over the bound, and the excess over it."""
-    keys = [key for key in BOUND if trials.has(key)]
+    keys = [key for key in BOUND if key in _held(trials)]
     rows = []
     for point, at in trials.groups():
         for name in trials.complete:
@@ -118,7 +118,7 @@ def bound_table(trials: Trials) -> Table:
 
 def bound_figure(trials: Trials) -> Figure | None:
     """Mean excess of each estimator over the bound, with its interval."""
-    keys = [key for key in _EXCESS if trials.has(key)]
+    keys = [key for key in _EXCESS if key in _held(trials)]
     if not keys:
         return None
     rows = np.arange(len(trials))
@@ -141,9 +141,11 @@ def bound_figure(trials: Trials) -> Figure | None:
 def against_bound(trials: Trials) -> Iterator[str]:
     """Say who comes nearest to the bound, and who is below it, which nobody can be."""
     rows = np.arange(len(trials))
-    for key in (key for key in _EXCESS if trials.has(key)):
+    for key in (key for key in _EXCESS if key in _held(trials)):
         means = {name: mean(trials, name, key, rows=rows) for name in trials.complete}
         known = {name: one for name, one in means.items() if one is not None}
+        if not known:
+            continue
         best = min(known, key=lambda name: abs(known[name].value))
         what = key.rpartition("_")[2]
         yield (
@@ -164,16 +166,20 @@ def _reach(found: Estimate) -> np.ndarray:
 
 def _specs(trials: Trials) -> list[MetricSpec]:
     """Metrics that some estimator has at some lag, in the order of the tables."""
-    held = {key for _, key, _ in trials.values}
-    labels = _labels(trials)
+    held, labels = _held(trials), _labels(trials)
     return [spec for key, spec in LAG_METRICS.items() if any(at_lag(key, label) in held for label in labels)]
 
 
 def _labels(trials: Trials) -> list[str]:
     """Lags that some estimator has, the shortest first, ``all`` last."""
-    parts = (key.rpartition("_lag_") for _, key, _ in trials.values)
+    parts = (key.rpartition("_lag_") for key in _held(trials))
     found = {label for stem, _, label in parts if stem in LAG_METRICS}
     return sorted(found, key=lambda label: np.inf if label == "all" else int(label))
+
+
+def _held(trials: Trials) -> set[str]:
+    """Keys of the metrics that were kept and are there."""
+    return {key for _, key, _ in trials.values}
 
 
 def _with_lags(trials: Trials) -> list[str]:
