@@ -22,8 +22,8 @@ def test_units_are_those_that_are_computed(computed):
 
 
 def test_no_metric_is_made_up(computed):
-    # Of a reference without attitudes, of a drive of more than 100 m, of a filter that measures it, of a bound
-    # that was asked for.
+    # Of a reference without attitudes, of a drive of more than 100 m, of a filter that measures it, of a
+    # bound that was asked for.
     assert METRICS.keys() - computed.keys() <= {
         "nees_position_planar",
         "nees_position_aligned",

@@ -80,7 +80,7 @@ def test_every_id_stands_once_and_every_link_and_reference_finds_one(text, eleme
 
 def test_every_figure_is_drawn_once_and_says_what_it_shows(elements):
     found = [figure["id"].removeprefix("figure-") for figure in elements.all("figure")]
-    # There are no ladder, lags and bound; thirty frames are too few for the whiteness, isam2 has no covariances.
+    # There are no ladder, lags and bound; thirty frames are too few for the whiteness, isam2 claims nothing.
     lacking = ("ladder", "lag", "bound", "parting", "whiteness", "distances")
     assert found == [name for name in figure_names() if name.partition("_")[0] not in lacking]
     drawn = elements.all("svg")

@@ -149,8 +149,8 @@ def against_bound(trials: Trials) -> Iterator[str]:
         best = min(known, key=lambda name: abs(known[name].value))
         what = key.rpartition("_")[2]
         yield (
-            f"mean squared {what} error of {best} is the nearest to the bound, which it exceeds by "
-            f"{with_interval(known[best], '%')}."
+            f"the mean squared {what} error of {best} is the nearest to the bound, "
+            f"{with_interval(known[best], '%')} above it."
         )
         below = [name for name, one in known.items() if one.high < 0.0]
         if below:
