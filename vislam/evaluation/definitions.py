@@ -74,8 +74,8 @@ DEFINITIONS = {
         "observations of the whole run. 1 is expected; below it the stated noise is too large."
     ),
     "nis_autocorrelation": (
-        "Autocorrelation of the NIS from one frame to the next. 0 is expected: above it innovations depend on "
-        "those before, and the noise is not white as it is told to be."
+        "Autocorrelation of the NIS from one frame to the next. 0 is expected; above it innovations depend "
+        "on those before, and the noise is not white as it is told to be."
     ),
     "fit_per_dof": (
         "Squared residuals of a smoother's final estimate, each by its noise, per degree of freedom "
