@@ -58,24 +58,9 @@ DEFINITIONS = {
     "coverage_90_position": "The same for the position.",
     "coverage_90_position_planar": "The same for the horizontal position.",
     "coverage_90_position_aligned": "The same for the position in space after the alignment.",
-    "bound_ratio_rotation": (
-        "Squared rotation error of the motion since the first frame, summed over the drive, over the least "
-        "that any unbiased estimator can have (posterior Cramer-Rao bound; simulation with bound: true "
-        "only). 1 is the least on average; one drive alone may lie below it."
-    ),
-    "bound_ratio_position": "The same of the position.",
-    "bound_excess_rotation": (
-        "The same squared error less that of the linear estimator that attains the bound on the same noise, "
-        "as a share of the bound: expected ratio less one, with the luck of the drive taken out."
-    ),
-    "bound_excess_position": "The same of the position.",
     "nis_per_dof": (
         "Normalised innovation squared, nu' S^-1 nu divided by its degrees of freedom, over the accepted "
         "observations of the whole run. 1 is expected; below it the stated noise is too large."
-    ),
-    "nis_autocorrelation": (
-        "Autocorrelation of the NIS from one frame to the next. 0 is expected; above it innovations depend "
-        "on those before, and the noise is not white as it is told to be."
     ),
     "fit_per_dof": (
         "Squared residuals of a smoother's final estimate, each by its noise, per degree of freedom "
