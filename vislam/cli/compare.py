@@ -9,9 +9,11 @@ does not hold; 130 interrupted by Ctrl-C or SIGTERM (what had finished is kept, 
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vislam.base.errors import ConfigError
 from vislam.cli.command import (
     Parser,
     add_check_options,
@@ -36,6 +38,12 @@ def _parser() -> Parser:
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
     add("--fresh", action="store_true", help="run again what an earlier start of the same has finished")
+    add(
+        "--robustness",
+        action="store_true",
+        help="repeat it over other held-out tracks and settings nearby; the verdict uses the spread",
+    )
+    add("--workers", type=int, help="number of processes of --robustness (default: one for each CPU)")
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     return parser
 
@@ -45,6 +53,10 @@ def _compare(options: argparse.Namespace) -> int:
     from vislam.comparison import config as configuration  # noqa: PLC0415
 
     refuse_bad_check_options(options)
+    if options.workers is not None and (options.workers < 1 or not options.robustness):
+        raise ConfigError(
+            f"--workers is the number of processes of --robustness, 1 or more; got {options.workers}"
+        )
     config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]
@@ -69,7 +81,39 @@ def _compare(options: argparse.Namespace) -> int:
         report=not options.no_report,
         fresh=options.fresh,
     )
+    if options.robustness and not outcome.results.interrupted:
+        outcome = _robust(outcome, options)
     return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
+
+
+def _robust(outcome: Any, options: argparse.Namespace) -> Any:
+    """The outcome with what the settings do to its errors, written anew."""
+    from vislam.checks.judge import read_checklist  # noqa: PLC0415
+    from vislam.cli.console import Terminal  # noqa: PLC0415
+    from vislam.comparison.results import SCHEMA_VERSION, headline_of, publish  # noqa: PLC0415
+    from vislam.datasets.find import search_path  # noqa: PLC0415
+    from vislam.evaluation.evaluate import headline  # noqa: PLC0415
+    from vislam.study.robustness import measure_spread  # noqa: PLC0415
+
+    results, progress = outcome.results, Terminal()
+    reference = results.record.reference
+    spread = measure_spread(
+        results.config,
+        outcome.folder,
+        "held_out_median" if reference is None else headline(reference),
+        folders=search_path(options.data_dir, config_dir=options.config.parent),
+        workers=options.workers,
+        progress=progress,
+    )
+    checklist = read_checklist(
+        results.config, against=options.against, tolerance=options.tolerance, schema_version=SCHEMA_VERSION
+    )
+    results = replace(results, spread=spread)
+    published = publish(results, outcome.folder, checklist, report=not options.no_report)
+    for sentence in headline_of(results, published.evaluation):
+        progress.note(sentence)
+    progress.note(f"{published.path.stem}: {published.path}")
+    return replace(outcome, results=results, published=published)
 
 
 def _with_estimators(config: Any, estimators: dict[str, dict[str, Any]]) -> Any:

@@ -22,7 +22,16 @@ from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
-from vislam.comparison.results import PLACES, RECORD, SCHEMA_VERSION, Published, Results, announce, publish
+from vislam.comparison.results import (
+    PLACES,
+    RECORD,
+    SCHEMA_VERSION,
+    Published,
+    Results,
+    announce,
+    publish,
+    read_spread,
+)
 from vislam.comparison.running import Runner
 from vislam.core.estimator import ClimbNoise, Estimator, Problem
 from vislam.core.lagged import Lags
@@ -95,7 +104,7 @@ def compare(
     if not fresh:
         prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
     Results(config, prepared.record, {}).begin(folder)
-    results = prepared.run()
+    results = replace(prepared.run(), spread=read_spread(folder))
     if keeper.found:
         progress.note(f"kept from an earlier start (--fresh runs them again): {', '.join(keeper.found)}")
     published = publish(results, folder, checklist, report=report)

@@ -35,6 +35,8 @@ from vislam.report.verdict import answer
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 2
 RECORD = "record.npz"
+ROBUSTNESS = "robustness"
+"""Name of the file, and of the folder below the results, that hold what the settings do to the errors."""
 PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.png")
 """A file of each folder that results are written to, and those that earlier results may have left."""
 _DPI = 130
@@ -101,7 +103,13 @@ class Results:
                 "name the folder that vislam.compare printed"
             )
         config, record = configuration.load(path), Record.load(folder / RECORD)
-        return cls(config, record, {name: _load_run(folder, name, record) for name in config.estimators})
+        runs = {name: _load_run(folder, name, record) for name in config.estimators}
+        return cls(config, record, runs, spread=read_spread(folder))
+
+
+def read_spread(folder: Path) -> Spread | None:
+    """What settings nearby do to the errors, if that was tried; DataError if it cannot be read."""
+    return Spread.read(folder / f"{ROBUSTNESS}.json")
 
 
 def _load_run(folder: Path, name: str, record: Record) -> Run:
@@ -229,6 +237,7 @@ def metrics_document(
             }
             for name, run in results.runs.items()
         },
+        "robustness": None if results.spread is None else results.spread.record(),
         "equal_information": [item.record() for item in results.shared_information()],
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
@@ -241,6 +250,12 @@ def metrics_document(
     }
 
 
+def headline_of(results: Results, evaluation: Evaluation) -> list[str]:
+    """What the terminal shows of the verdict."""
+    unequal, reference = unequal_line(results.shared_information()), results.record.reference
+    return answer(results.runs, evaluation, reference, unequal=unequal, spread=results.spread)
+
+
 def announce(results: Results, published: Published, progress: Progress) -> None:
     """Print the closing table, where to read on, and what must not be overlooked."""
     unequal = unequal_line(results.shared_information())
@@ -248,9 +263,7 @@ def announce(results: Results, published: Published, progress: Progress) -> None
     for estimate, table in tables.items():
         progress.rows(table.header, table.rows, title=f"{results.title}, {ESTIMATE_TITLES[estimate]}")
     progress.note(MARKS)
-    for sentence in answer(
-        results.runs, published.evaluation, results.record.reference, unequal=unequal, spread=results.spread
-    ):
+    for sentence in headline_of(results, published.evaluation):
         progress.note(sentence)
     if told := results.frozen_told():
         progress.note(told)
