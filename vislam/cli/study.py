@@ -2,7 +2,7 @@
 
 A study that was stopped goes on where it was. Exit codes: 0 every trial has run, and those that failed are
 rows of the table; 1 trials were lost with their workers, or no estimator has finished in any trial; 2 bad
-config, workers or folder; 130 interrupted.
+config, workers or folder; 3 a check of the config does not hold over all drives; 130 interrupted.
 """
 
 import argparse
@@ -80,8 +80,7 @@ def _study(options: argparse.Namespace) -> int:
         tls=tls,
         patience=options.wait_for_workers,
     )
-    lost = conduct(config, out=options.out, cluster=cluster, progress=Terminal())
-    return 1 if lost else 0
+    return conduct(config, out=options.out, cluster=cluster, progress=Terminal())
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from vislam.study.page.limits import BOUND, bound_table, keys_of_lags
 from vislam.study.page.page import write_study_page
 from vislam.study.page.tables import CLAIMS, ranking_table
 from vislam.study.plan import Plan
+from vislam.study.pooled import judge_pooled
 from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
 from vislam.study.trials import Trials
@@ -39,7 +40,10 @@ _SHOWN = frozenset((*ERRORS, *DETAILS, *CLAIMS, *BOUND, TIME, NEES, COVERAGE))
 
 
 def conduct(config: Config, *, out: Path, cluster: Cluster, progress: Progress) -> int:
-    """Run what is missing of a study, write its table and return how many trials were lost.
+    """Run what is missing of a study, write its table and return the exit code.
+
+    It is 1 if trials were lost, else 3 if a check of the config does not hold on the drives of a point
+    together.
 
     Raises
     ------
@@ -61,7 +65,25 @@ def conduct(config: Config, *, out: Path, cluster: Cluster, progress: Progress) 
         _run_missing(plan, folder, cluster, progress, missing)
     # Errors of 1e200 m, of runs that blew up, have an infinite mean.
     with np.errstate(over="ignore", invalid="ignore"):
-        return conclude(plan, folder, progress)
+        lost = conclude(plan, folder, progress)
+        return 1 if lost else 0 if check(plan, folder, progress) else 3
+
+
+def check(plan: Plan, folder: StudyFolder, progress: Progress) -> bool:
+    """Judge the checks of the config at each point, write them, and say whether all hold."""
+    if not plan.config.checks:
+        return True
+    verdicts = []
+    for point in plan.points:
+        trials = [trial for trial in plan.trials() if trial.point is point]
+        judged = judge_pooled(plan.config, (found for _, found in folder.finished(trials)))
+        if point.label:
+            progress.note(point.label)
+        for verdict in judged:
+            progress.note(verdict.line())
+        verdicts += [{"point": point.values, **verdict.record()} for verdict in judged]
+    folder.write_json(folder.path / "checks.json", verdicts)
+    return all(verdict["holds"] for verdict in verdicts)
 
 
 def _run_missing(plan: Plan, folder: StudyFolder, cluster: Cluster, progress: Progress, number: int) -> None:
