@@ -12,7 +12,7 @@ from vislam.compare import main
 from vislam.comparison import config as configuration
 
 CONFIG = Path(__file__).parents[2] / "configs" / "ci.yaml"
-ESTIMATORS = ["ekf_invariant", "eks", "isam2"]
+ESTIMATORS = ["ekf", "ekf_invariant", "eks", "isam2"]
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from vislam.comparison.config import Config
 from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.lookup import Entry
+from vislam.evaluation.metric import METRICS
 from vislam.evaluation.metrics import Metric
 from vislam.evaluation.statistics import Statistic
 
@@ -70,10 +71,15 @@ def _mean_metrics(results: list[Mapping[str, Any]]) -> list[Metric]:
             if record["value"] is not None:
                 grouped[record["estimator"], record["key"], record["estimate"]].append(record["value"])
     return [
-        Metric(name, key, float(np.mean(values)), "", estimate=estimate)
+        Metric(name, key, float(np.mean(values)), _unit(key), estimate=estimate)
         for (name, key, estimate), values in grouped.items()
         if len(values) == len(results)
     ]
+
+
+def _unit(key: str) -> str:
+    """Unit of a metric; 1 for one without, or that is not in the registry."""
+    return (METRICS[key].unit if key in METRICS else "") or "1"
 
 
 def _run(name: str, results: list[Mapping[str, Any]]) -> Run:
