@@ -1,12 +1,15 @@
 """Which twist dead reckoning integrates, and what it adds to the covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tests.conftest import from_first
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem
-from vislam.comparison.config import Config
-from vislam.comparison.open import Dataset
+from vislam.comparison.config import ClimbConfig, Config
+from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators import loop
 from vislam.geometry import se3
 from vislam_baselines import dead_reckoning
@@ -52,3 +55,21 @@ def test_a_given_variance_is_added_by_the_step(short: Dataset, short_config: Con
 def test_a_variance_below_zero_is_refused(short: Dataset, short_config: Config):
     with pytest.raises(ConfigError, match=r"estimators\.dead_reckoning\.motion_variance\.1"):
         reckon(short, short_config, motion_variance=(0.1, -0.1, 0.1, 1.0, 1.0, 1.0))
+
+
+def test_the_vertical_velocity_holds_the_height(short_config: Config):
+    """As it does in the fused estimators: without it a bias of the pitch rate takes the path off the
+    ground."""
+    simulation = replace(
+        short_config.data.simulation, frames=150, levelled_velocity=True, gyro_bias=(0.0, 0.01, 0.0)
+    )
+    repair = replace(short_config.data.repair, levelled_velocity=True)
+    data = replace(short_config.data, simulation=simulation, repair=repair)
+    dataset, off = open_dataset(data, seed=3), []
+    for climb in (None, ClimbConfig()):
+        config = replace(short_config, data=data, noise=replace(short_config.noise, climb=climb))
+        run = reckon(dataset, config).levelled()
+        truth = from_first(dataset.reference.pose)
+        off.append(abs(from_first(run.final.world_T_imu)[-1, 2, 3] - truth[-1, 2, 3]))
+    assert off[0] > 5.0
+    assert off[1] < 0.5

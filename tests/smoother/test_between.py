@@ -80,6 +80,7 @@ def test_other_members_take_it_too(simulated, name):
 
 UNMET = {
     "clock_sigma to 0": {"clock_sigma": 0.01},
+    "velocity_direction_sigma to 0": {"velocity_direction_sigma": 0.01},
     "acceleration_density to null": {"acceleration_density": (1.0,) * 6},
 }
 

@@ -1,10 +1,12 @@
 """Covariances: of the newest pose, of all poses and landmarks in the end."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 
-from tests.smoother.drives import drive, exact, filtered, member
+from tests.smoother.drives import drive, exact, filtered, gap, member
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.keys import X
@@ -30,6 +32,30 @@ def test_without_errors_the_newest_poses_covariance_is_the_filters(name, monkeyp
     # A track waits for its second view, and one seen only once tells nothing about a pose.
     assert relative(smoothed.filtered.covariances, ekf.filtered.covariances) < 1e-6
     assert np.allclose(smoothed.states[TWIST_BIAS].sigma, ekf.states[TWIST_BIAS].sigma, rtol=1e-6)
+
+
+SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "within"), [(None, 1e-6), (SMOOTH, 3e-3)], ids=["odometry", "smooth"]
+)
+def test_filter_and_smoother_know_the_direction_of_the_velocity_alike(acceleration, within, monkeypatch):
+    """Its covariance, and what of a small error of it both find: with 1e-5 rad nothing is beyond first
+    order."""
+    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    config, dataset = exact(seed=3, frames=20, tracks_in_view=25, depth_max=20.0)
+    sigma = (*config.noise.bias_sigma[:4], 1e-4, 1e-4)
+    more = {"velocity_direction_sigma": 0.02, "bias_sigma": sigma, "acceleration_density": acceleration}
+    config = replace(config, noise=replace(config.noise, **more))
+    ekf, smoothed = filtered(config, dataset), member("isam2", config, dataset, pose_cov_every=1)
+    assert relative(smoothed.filtered.covariances, ekf.filtered.covariances) < within
+    sequence = dataset.sequence
+    twist = sequence.twist.copy()
+    twist[:, 4:] += twist[:, 3:4] * [1e-5, -2e-5]
+    spoilt = replace(dataset, sequence=replace(sequence, twist=twist))
+    ekf, smoothed = filtered(config, spoilt), member("isam2", config, spoilt)
+    assert max(gap(smoothed.filtered.world_T_imu, ekf.filtered.world_T_imu)) < within
 
 
 def test_within_its_lag_the_fixed_lag_smoother_knows_as_much(monkeypatch):

@@ -15,7 +15,7 @@ from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.keys import CLOCK, X
 from vislam.estimators.smoother.starting import Start, starts
 from vislam.geometry import se3
 
@@ -206,7 +206,7 @@ def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
     estimator = smoother(make_problem(config, dataset))
     result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
     assert result.complete
-    assert abs(estimator._motion._clock - 0.04) < 0.01
+    assert abs(estimator._motion._known[CLOCK][0] - 0.04) < 0.01
 
 
 @pytest.mark.slow

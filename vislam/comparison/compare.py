@@ -320,6 +320,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         gate_probability=config.gate_probability,
         clock_sigma=noise.clock_sigma,
         disparity_offset_sigma=noise.disparity_offset_sigma_px,
+        direction_sigma=noise.velocity_direction_sigma,
         climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
         lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,

@@ -150,6 +150,10 @@ class NoiseConfig:
     clock_sigma: NonNegative = 0.0
     """Prior standard deviation of what is left of the clock offset after ``repair.clock`` [s]; 0: nothing is,
     and it is not estimated."""
+    velocity_direction_sigma: NonNegative = 0.0
+    """Prior standard deviation of the direction of the recorded velocity in the body, to the left and up
+    [rad]: what the velocity is off by in proportion to its forward component. 0: nothing is. With it, give
+    the last two of ``bias_sigma`` and ``bias_walk`` what is left at standstill only."""
     disparity_offset_sigma_px: NonNegative = 0.0
     """The same of a constant error of all disparities after ``repair.disparity_offset`` [px]."""
     climb: ClimbConfig | None = None

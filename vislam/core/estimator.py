@@ -69,6 +69,9 @@ class Problem:
         Prior standard deviation of a constant error of all disparities [px]; 0: known.
     climb : ClimbNoise or None
         None: the vertical velocity is not used.
+    direction_sigma : float
+        Prior standard deviation of the direction of the recorded velocity in the body, to the left and up
+        [rad]; 0: it is known.
     kernel : Kernel or None
         Robust kernel of the stereo observations, on residuals whitened by their noise; None: they are
         Gaussian.
@@ -86,6 +89,7 @@ class Problem:
     clock_sigma: float = 0.0
     disparity_offset_sigma: float = 0.0
     climb: ClimbNoise | None = None
+    direction_sigma: float = 0.0
     kernel: Kernel | None = None
     lags: Lags | None = None
 

@@ -6,6 +6,11 @@ The recorded twist u carries a bias b and white noise. Over a step of length dt
 
 with w of covariance ``J diag(density^2) J^T dt`` (J the right Jacobian at the step) and w_b of
 covariance ``diag(walk^2) dt``. The report's eq. (23) is the special case without a bias.
+
+Where the velocity's direction a in the body is estimated, two small angles to the left and up [rad], the
+recorded velocity is off by ``u_x a`` beside its bias: a body whose axes are not those of its instrument sees
+its forward velocity across itself, the faster, the more. So b is ``b + u_x E a`` throughout, with E
+(:data:`ACROSS`) the two axes across; a is constant.
 """
 
 from dataclasses import dataclass
@@ -15,6 +20,9 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.geometry import se3
 
+ACROSS = np.eye(6)[:, 4:]
+"""From the direction of the velocity (left, up) to the twist that a unit of forward velocity has by it, ``(6,
+2)``."""
 POSE = slice(0, 6)
 """Where the pose stands in the navigation state."""
 BIAS = slice(6, 12)

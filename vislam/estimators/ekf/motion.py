@@ -137,7 +137,8 @@ class OdometryMotion:
     """The recorded twist less its bias (:mod:`vislam.models.odometry`), its clock, and the climb rate.
 
     Blocks: ``twist_bias`` (6) [rad/s, m/s]; ``clock`` (1), how much later the inertial stamps are than taken
-    for [s], where its prior is not zero; those of :class:`Height`.
+    for [s], and ``direction`` (2), that of the velocity in the body [rad], where their priors are not zero;
+    those of :class:`Height`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -150,6 +151,8 @@ class OdometryMotion:
         found = {"twist_bias": Block(problem.bias_mean, np.asarray(problem.bias_sigma))}
         if problem.clock_sigma > 0.0:
             found["clock"] = Block(np.zeros(1), np.array([problem.clock_sigma]))
+        if problem.direction_sigma > 0.0:
+            found["direction"] = Block(np.zeros(2), np.full(2, problem.direction_sigma))
         return {**found, **self._height.blocks()}
 
     def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
@@ -163,12 +166,17 @@ class OdometryMotion:
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
         late = float(nav[layout["clock"]][0]) / dt if "clock" in layout else 0.0
         twist = frame.odometry.twist + late * frame.odometry.twist_change
+        across = _across(frame)
         bias = nav[layout["twist_bias"]]
+        if "direction" in layout:
+            bias = bias + across @ nav[layout["direction"]]
         step = odometry.integrate(twist, bias=bias, dt=dt, noise=self._problem.noise)
         own = slice(0, odometry.NAV)
         transition[own, own], noise[own, own] = odometry.transition(step)
         if "clock" in layout:
             transition[POSE, layout["clock"]] = -(step.by_bias @ frame.odometry.twist_change / dt)[:, None]
+        if "direction" in layout:
+            transition[POSE, layout["direction"]] = step.by_bias @ across
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
 
@@ -252,6 +260,9 @@ class SmoothMotion(OdometryMotion):
         by_nav[:, layout["step"]] = np.eye(6) / frame.dt
         by_nav[:, layout["twist_bias"]] = np.eye(6)
         predicted = nav[layout["step"]] / frame.dt + nav[layout["twist_bias"]]
+        if "direction" in layout:
+            by_nav[:, layout["direction"]] = _across(frame)
+            predicted = predicted + _across(frame) @ nav[layout["direction"]]
         if "clock" in layout:
             late = frame.odometry.twist_change / frame.dt
             by_nav[:, layout["clock"]] = -late[:, None]
@@ -263,6 +274,11 @@ class SmoothMotion(OdometryMotion):
 def make(problem: Problem) -> Motion:
     """Model of motion that a problem asks for."""
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
+
+
+def _across(frame: Frame) -> Array:
+    """What the direction of the velocity is in the recorded twist of a step, ``(6, 2)`` [m/s]."""
+    return np.asarray(frame.odometry.twist[3] * odometry.ACROSS)
 
 
 def up_axis(tilt: Array) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """The members of the smoother family: one name each, all the same smoother with other options."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,14 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 """What each member sets; its config section may set the rest, or these again."""
 
 
+_BETWEEN_LACKS: Mapping[str, Callable[[Problem], bool]] = {
+    "clock_sigma to 0": lambda problem: problem.clock_sigma > 0.0,
+    "velocity_direction_sigma to 0": lambda problem: problem.direction_sigma > 0.0,
+    "acceleration_density to null": lambda problem: problem.noise.acceleration is not None,
+}
+"""What motion: between has no variables for, each by its remedy."""
+
+
 def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
     """Build a member from a problem and the options of its config section."""
     refuse_former(options, at=f"estimators.{name}")
@@ -35,11 +43,11 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoother
             f"estimators.{name}: GTSAM's stereo factor has no disparity offset as a variable; set "
             "noise.disparity_offset_sigma_px to 0, or compare filters only"
         )
-    if parsed.motion == "between" and (problem.clock_sigma > 0.0 or problem.noise.acceleration is not None):
-        asked = "clock_sigma to 0" if problem.clock_sigma > 0.0 else "acceleration_density to null"
+    asked = [name for name, wanted in _BETWEEN_LACKS.items() if wanted(problem)]
+    if parsed.motion == "between" and asked:
         raise ConfigError(
             f"estimators.{name}: motion: between has no variables but poses, landmarks and heights; "
-            f"set noise.{asked}, or motion to bias"
+            f"set noise.{asked[0]}, or motion to bias"
         )
     return SmootherEstimator(problem, parsed)
 

@@ -1,10 +1,10 @@
 """Keys of the graph.
 
 ``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end
-that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the
-body itself, where it is supposed to move smoothly, ``H(k)`` the height as the climb rate has led, and
-``CLOCK`` what is left of the clock offset, ``A(k)`` the anchor beside a pose (see
-:class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark tells its depth.
+that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the body
+itself, where it is supposed to move smoothly, ``H(k)`` the height as the climb rate has led, and ``CLOCK``
+what is left of the clock offset, ``DIRECTION`` that of the velocity in the body, ``A(k)`` the anchor beside a
+pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark tells its depth.
 
 iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that moves by 1 m changes
 nothing; one at 5 m does. So the letter of a landmark is that of its depth, by half octaves, and each
@@ -13,17 +13,18 @@ letter gets a threshold that is the same share of the depth.
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, H, V, W, X
+from gtsam.symbol_shorthand import A, B, C, D, H, V, W, X
 
 from vislam.base.types import Array
 
 CLOCK: int = C(0)
+DIRECTION: int = D(0)
 _LETTERS = "ijklmnopqrstu"
 _NEAREST = 4.0
 """Depth up to which the first letter goes [m]."""
 _LINEAR = 1e3
 
-__all__ = ["CLOCK", "A", "B", "H", "V", "W", "X", "is_landmark", "landmark", "thresholds"]
+__all__ = ["CLOCK", "DIRECTION", "A", "B", "H", "V", "W", "X", "is_landmark", "landmark", "thresholds"]
 
 
 def landmark(number: int, depth: float) -> int:
@@ -45,7 +46,7 @@ def thresholds(*, pose: Array, depth_share: float) -> gtsam.ISAM2ThresholdMap:
     """
     table = gtsam.ISAM2ThresholdMap()
     table.insert(("x", pose))
-    for letter, size in (("a", 6), ("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1)):
+    for letter, size in (("a", 6), ("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1), ("d", 2)):
         table.insert((letter, np.full(size, _LINEAR)))
     for octave, letter in enumerate(_LETTERS):
         table.insert((letter, np.full(3, depth_share * _NEAREST * 2.0 ** (octave / 2.0))))

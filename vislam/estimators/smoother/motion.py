@@ -16,7 +16,7 @@ from vislam.base.types import Array
 from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.engine import Engine
-from vislam.estimators.smoother.keys import CLOCK, B, H, V, W, X
+from vislam.estimators.smoother.keys import CLOCK, DIRECTION, B, H, V, W, X
 from vislam.geometry import se3
 from vislam.models import odometry
 
@@ -115,18 +115,19 @@ class OdometryMotion:
     own, ``V(k)``, in no other factor: it takes up the other half of the error whatever that is, and of the
     first half, whose covariance is ``dt^3 / 3 Qc``, nothing is lost.
 
-    As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``.
+    As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``. What
+    is constant all along, the clock and the direction of the velocity in the body, stands in the prior of the
+    bias and in its walk, linearly.
 
     The climb rate enters by :class:`Height`; without it the first pose is the identity within its prior.
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._estimate_clock = problem.clock_sigma > 0.0
-        """Whether the clock is a variable."""
+        self._constants = _constants(problem)
         self._bias = np.array(problem.bias_mean)
         self._twist = np.zeros(6)
-        self._clock = 0.0
+        self._known = {key: np.zeros(len(sigma)) for key, sigma in self._constants.items()}
         self._height = Height(problem.climb)
 
     def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
@@ -148,19 +149,20 @@ class OdometryMotion:
         """Integrate the twist less its bias, and the climb rate."""
         if frame.k == 0:
             return pose
-        self._twist = frame.odometry.twist + self._clock / frame.dt * frame.odometry.twist_change - self._bias
+        self._twist = self._recorded(frame) - self._bias
         self._height.predict(frame)
         return pose @ se3.exp(frame.dt * self._twist)
 
     def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
-        """Insert pose, twist, clock and height as predicted."""
+        """Insert pose, twist, constants and height as predicted."""
         k = frame.k
         values.insert(X(k), gtsam.Pose3(pose))
         if k > 0:
             values.insert(W(k), self._twist)
             values.insert(V(k), self._twist)
-        if k == 1 and self._estimate_clock:
-            values.insert(CLOCK, np.zeros(1))
+        if k == 1:
+            for key, value in self._known.items():
+                values.insert(key, value)
         self._height.insert(values, k)
 
     def keys(self, k: int) -> list[int]:
@@ -169,19 +171,17 @@ class OdometryMotion:
 
     def tied(self, k: int) -> list[int]:
         """Keys that the factors of the next frame tie to."""
-        clock = [CLOCK] if k > 0 and self._estimate_clock else []
-        return [*(key for key in self.keys(k) if key != V(k)), *clock]
+        constants = self._constants if k > 0 else ()
+        return [*(key for key in self.keys(k) if key != V(k)), *constants]
 
     def read(self, engine: Engine, frame: Frame) -> None:
-        """Read bias and clock."""
+        """Read constants and bias."""
         if frame.k > 0:
-            if self._estimate_clock:
-                self._clock = float(engine.vector(CLOCK)[0])
-            late = self._clock / frame.dt * frame.odometry.twist_change
-            self._bias = frame.odometry.twist + late - engine.vector(W(frame.k))
+            self._known = {key: engine.vector(key) for key in self._constants}
+            self._bias = self._recorded(frame) - engine.vector(W(frame.k))
 
     def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
-        """Bias at the end of the step; the clock's share in the variance of the twist is left in it."""
+        """Bias at the end of the step; the constants' share in the variance of the twist is left in it."""
         if not with_sigma:
             return self._bias, None
         if frame.k == 0:
@@ -191,20 +191,39 @@ class OdometryMotion:
 
     def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
         """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
-        problem, key = self._problem, W(frame.k)
-        late = frame.odometry.twist_change / frame.dt
+        problem, key, constants = self._problem, W(frame.k), self._design(frame)
         if before.k == 0:
             mean, sigma = frame.odometry.twist - problem.bias_mean, np.asarray(problem.bias_sigma)
-            if not self._estimate_clock:
+            if not constants:
                 return [gtsam.PriorFactorVector(key, mean, _sigmas(sigma))]
-            clock = gtsam.PriorFactorVector(CLOCK, np.zeros(1), _sigmas([problem.clock_sigma]))
-            return [clock, _linear({key: np.eye(6), CLOCK: -late[:, None]}, mean, sigma)]
+            priors = [
+                gtsam.PriorFactorVector(constant, np.zeros(len(spread)), _sigmas(spread))
+                for constant, spread in self._constants.items()
+            ]
+            terms = {constant: -matrix for constant, matrix in constants.items()}
+            return [*priors, _linear({key: np.eye(6), **terms}, mean, sigma)]
         change = frame.odometry.twist - before.odometry.twist
         sigma = np.sqrt(before.dt) * problem.noise.bias_walk
-        if not self._estimate_clock:
+        if not constants:
             return [gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))]
-        by_clock = before.odometry.twist_change / before.dt - late
-        return [_linear({W(before.k): -np.eye(6), key: np.eye(6), CLOCK: by_clock[:, None]}, change, sigma)]
+        terms = {constant: matrix - constants[constant] for constant, matrix in self._design(before).items()}
+        return [_linear({W(before.k): -np.eye(6), key: np.eye(6), **terms}, change, sigma)]
+
+    def _design(self, frame: Frame) -> dict[int, Array]:
+        """What the recorded twist of a step rises by with each constant, by its key."""
+        odometry_step = frame.odometry
+        every = {
+            CLOCK: odometry_step.twist_change[:, None] / frame.dt,
+            DIRECTION: -odometry_step.twist[3] * odometry.ACROSS,
+        }
+        return {key: every[key] for key in self._constants}
+
+    def _recorded(self, frame: Frame) -> Array:
+        """Recorded twist ``(6,)`` of a step with the constants as read last."""
+        return np.asarray(
+            frame.odometry.twist
+            + sum(matrix @ self._known[key] for key, matrix in self._design(frame).items())
+        )
 
 
 class SmoothMotion(OdometryMotion):
@@ -306,6 +325,12 @@ def make(problem: Problem, *, between: bool = False) -> Motion:
 def newest(motion: Motion, k: int) -> list[int]:
     """Keys of a frame's own variables and of those that the factors of the next frame tie to."""
     return list(dict.fromkeys([*motion.keys(k), *motion.tied(k)]))
+
+
+def _constants(problem: Problem) -> dict[int, Array]:
+    """Prior standard deviations of what is constant all along, by its key, as far as it is not known."""
+    sigma = {CLOCK: np.array([problem.clock_sigma]), DIRECTION: np.full(2, problem.direction_sigma)}
+    return {key: spread for key, spread in sigma.items() if spread[0] > 0.0}
 
 
 def _first_pose(problem: Problem, height: Height) -> gtsam.NonlinearFactor:
