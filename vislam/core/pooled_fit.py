@@ -38,6 +38,8 @@ _BLOCKS = 12
 _RIDGE = 1e-12
 _EXPLAINED = 0.5
 """A twist that leaves more than this share of the flow has nothing to say of it: wrong axes, wrong units."""
+_LARGEST_SHARE = 0.3
+"""Nor has one whose velocity is off by more than this share of itself."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ def twist_error(found: InertialPairs) -> TwistError | None:
         before, error = error, _solved(design, residual, weight)
         if np.all(np.abs(error - before) < 1e-9):
             break
-    if scale > _EXPLAINED * robust_scale(np.sum(found.flow**2, axis=1)):
+    unexplained = scale > _EXPLAINED * robust_scale(np.sum(found.flow**2, axis=1))
+    if unexplained or np.abs(error[6:]).max() > _LARGEST_SHARE:
         return None
     left_out = np.array(
         [_solved(design, residual, weight * ~part) for part in _parts(frame) if not part.all()]

@@ -21,6 +21,7 @@ from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
+from vislam.estimators.smoother.restart import restarted
 from vislam.estimators.smoother.solver import Solver
 from vislam.models.kernel import kernel_name
 
@@ -175,6 +176,10 @@ class SmootherEstimator:
                     self._counts["final_iterations_undone"] += 1
                     break
                 budget.count("relinearised")
+            anew = restarted(drive, values, self._problem, options, budget)
+            if anew is not None:
+                values = anew
+                self._events.append("the estimate had diverged: found anew from the inertial path")
         elif options.final != "as_is":
             if options.final == "gnc":
                 values, self._counts["outliers"] = drive.graduate(values, budget)
