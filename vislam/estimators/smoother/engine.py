@@ -8,15 +8,11 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.estimators.smoother.keys import A, X, thresholds
+from vislam.estimators.smoother.keys import A, thresholds
 from vislam.estimators.smoother.options import SmootherOptions
 
 _ANCHOR_SIGMA = np.repeat([0.01, 0.1], 3)
 """How far an anchor may be from its pose [rad, m]."""
-
-
-_BENT = 0.03
-"""Share of the distance at which poses are linearised anew by which those at rest may be off."""
 
 
 class IndeterminateError(RuntimeError):
@@ -156,7 +152,6 @@ class WholeGraph(_Read):
 
     def __init__(self, options: SmootherOptions, factorization: str) -> None:
         self._every = options.relinearize_every
-        self._farthest = _BENT * options.pose_threshold_m
         self._anchored = factorization == "cholesky"
         # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
         self._given = 0
@@ -166,7 +161,6 @@ class WholeGraph(_Read):
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
         self._resting = gtsam.KeyList()
-        self._border = X(0)
 
     def update(
         self,
@@ -183,8 +177,6 @@ class WholeGraph(_Read):
         del stamps
         for key in resting:
             self._resting.push_back(key)
-            if gtsam.symbolChr(key) == ord("x"):
-                self._border = max(self._border, key)
         parameters, frame = gtsam.ISAM2UpdateParams(), gtsam.symbolIndex(newest[0])
         remove, order = list(remove), [newest, in_view]
         if self._anchored:
@@ -203,8 +195,7 @@ class WholeGraph(_Read):
         # By the frame: an engine that was built anew goes on where the one before would have.
         if self._every and (frame + 1) % self._every == 0:
             parameters.force_relinearize = True
-            if not self._bent():
-                parameters.noRelinKeys = self._resting
+            parameters.noRelinKeys = self._resting
         slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
         return slots[1:] if self._anchored else slots
 
@@ -228,18 +219,6 @@ class WholeGraph(_Read):
         if self._anchor is not None:
             found.erase(self._anchor[1])
         return found
-
-    def _bent(self) -> bool:
-        """Whether what rests has moved too far to be tied to what is linearised anew.
-
-        Of the newest pose at rest, moved by (omega, v) since it was linearised, the next one sees by the
-        linear motion, which differs from the exponential by ``omega x v / 2``. Where a correction turns the
-        drive behind, as one of the bias does, v is as long as the drive.
-        """
-        if not self._resting.size() or not self._solver.valueExists(self._border):
-            return False
-        moved = self._solver.getDelta().at(self._border)
-        return 0.5 * float(np.linalg.norm(np.cross(moved[:3], moved[3:]))) > self._farthest
 
     def _with_anchor(
         self, pose: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
