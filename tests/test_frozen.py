@@ -136,7 +136,8 @@ def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, ca
     assert runs["ekf_all"]["listed_not_fused"] is None
     assert runs["ekf"]["events"] == []
     page = (folder / "report.html").read_text()
-    said = f"Frozen list {frozen['digest']}: {frozen['kept']} of {frozen['of']} observations, which ekf"
+    said = f"Common observation set {frozen['digest']}: {frozen['kept']} of {frozen['of']} observations, "
+    said += "which ekf"
     assert said in capsys.readouterr().out
     assert said in page
     assert "instead: ekf_all." in page

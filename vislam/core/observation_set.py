@@ -64,18 +64,16 @@ class FrozenList:
     def tell(self, runs: Mapping[str, Run]) -> str:
         """Describe in a few sentences what the set is and which runs fused all of it."""
         said = [
-            f"Frozen list {self.digest}: {np.count_nonzero(self.kept)} of {len(self.kept)} observations, "
-            f"which {_listed(self.by)} fused and whose tracks were seen again; on it, no estimator gates for "
-            "itself."
+            f"Common observation set {self.digest}: {int(self.kept.sum())} of {len(self.kept)} "
+            f"observations, which {_listed(self.by)} fused and whose tracks were observed again; no "
+            "estimator gates for itself."
         ]
         left = [
             f"{name} {count}"
             for name, count in self.not_fused(runs).items()
             if count and not runs[name].blind
         ]
-        said.append(
-            f"Not fused of the list: {_listed(left)}." if left else "All of it was fused by every run."
-        )
+        said.append(f"Not fused of it: {_listed(left)}." if left else "All of it was fused by every run.")
         given_all = [name for name in runs if name in self.exempt]
         if given_all:
             said.append(f"Given all observations instead: {_listed(given_all)}.")
