@@ -144,7 +144,7 @@ def test_processes_side_by_side_find_the_same(small, capsys):
 def test_a_stand_in_for_a_missing_recording_is_said(capsys):
     short = ["--set", "data.simulation.frames=10", "--set", "data.simulation.tracks_in_view=15"]
     assert calibrated(DS3, *short, *FEW) == 0
-    assert capsys.readouterr().out.startswith("SIMULATED: stand-in for 03.npz")
+    assert capsys.readouterr().out.startswith("SIMULATED: synthetic substitute for 03.npz")
 
 
 def complaint(capsys):

@@ -135,7 +135,7 @@ def test_the_climb_rate_holds_the_height(short_config: Config, options):
 
 def test_the_climb_rate_needs_to_be_there(short: Dataset, short_config: Config):
     config = replace(short_config, noise=replace(short_config.noise, climb=ClimbConfig()))
-    with pytest.raises(ConfigError, match=r"noise\.climb: simulation has no climb rate"):
+    with pytest.raises(ConfigError, match=r"noise\.climb: simulation has no vertical velocity"):
         make_problem(config, short)
 
 

@@ -523,7 +523,9 @@ def test_a_study_of_a_missing_recording_is_of_its_stand_in_and_says_so(ran, caps
     assert study("--set", "data.file=nowhere.npz") == 0
     assert len(ran) == 4
     assert "[SIMULATED]" in capsys.readouterr().out
-    assert "SIMULATED: stand-in for nowhere.npz" in only("*/study.html").read_text(encoding="utf-8")
+    assert "SIMULATED: synthetic substitute for nowhere.npz" in only("*/study.html").read_text(
+        encoding="utf-8"
+    )
     assert json.loads(only("*/study.json").read_text(encoding="utf-8"))["config"]["data"]["file"] is None
 
 

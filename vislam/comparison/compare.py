@@ -303,7 +303,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
     noise = config.noise
     if noise.climb is not None and not np.isfinite(dataset.sequence.climb_rate).any():
         raise ConfigError(
-            f"noise.climb: {dataset.sequence.name} has no climb rate; set it to null, or switch "
+            f"noise.climb: {dataset.sequence.name} has no vertical velocity; set it to null, or switch "
             "data.repair.levelled_velocity on if the third velocity component is one"
         )
     return Problem(

@@ -111,7 +111,7 @@ def _recorded(config: DataConfig, path: Path, folders: list[Path], held_out: Hel
     wrong = _implausible(sequence, config)
     sequence, kept_back = _parted(sequence, config, held_out)
     if config.reference is None:
-        note = "no reference: nothing here says how far off an estimate is"
+        note = "no reference: errors cannot be measured"
         return Dataset(sequence, None, (note,), wrong, kept_back)
     found = find_file(config.reference.file, [path.parent, *folders])
     if found is None:
@@ -187,7 +187,7 @@ def _packaged(
 def _simulated(config: DataConfig, seed: int, folders: list[Path], held_out: HeldOutConfig | None) -> Dataset:
     assert config.simulation is not None
     wanted = config.file
-    name = "simulation" if wanted is None else f"stand-in for {wanted}"
+    name = "simulation" if wanted is None else f"synthetic substitute for {wanted}"
     raw, truth = simulated_drive(config.simulation, seed=seed, name=name, folders=folders)
     sequence, kept_back = _parted(raw, config, held_out)
     track, first = np.unique(sequence.track, return_index=True)
