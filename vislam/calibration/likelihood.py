@@ -73,7 +73,7 @@ class Evaluator:
 def first_frames(sequence: Sequence, frames: int) -> Sequence:
     """Return the first frames of a sequence; DataError if these are fewer than two."""
     if frames < 2:
-        raise DataError(f"{sequence.name}: the first {frames} frames are no drive, at least 2 are needed")
+        raise DataError(f"{sequence.name}: the first {frames} frames are too few, at least 2 are needed")
     return sequence.first(frames)
 
 
