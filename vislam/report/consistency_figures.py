@@ -95,10 +95,10 @@ def coverage(shown: Shown) -> Figure | None:
         return None
     figure = Figure(figsize=(7.2, 4.4), layout="constrained")
     axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="as claimed")
+    axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="nominal")
     for name, claim in claims.items():
         axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=literal(name))
-    axes.set(xlabel="claimed share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
+    axes.set(xlabel="nominal share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
     axes.set_aspect("equal")
     axes.legend(loc="best", fontsize=8)
     return figure

@@ -169,51 +169,51 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
     "top_view": (
         top_view,
         "From above",
-        "Paths, and the map of each estimator, from above. Each is laid on the reference by a turn about "
-        "the vertical and a shift; without a reference all start at the same pose.",
+        "Trajectories, and the map of each estimator, from above. Each is aligned to the reference by a "
+        "rotation about the vertical and a shift; without a reference all start at the same pose.",
     ),
     "error": (
         error_over_distance,
         "Position error",
-        "Position error after rigid alignment over the distance driven. Dashed: three estimated standard "
+        "Position error after rigid alignment over the distance travelled. Dashed: three estimated standard "
         "deviations since the start.",
     ),
     "height_attitude": (height_attitude, "Height and attitude", "Height, roll, pitch and yaw over time."),
     "nis": (
         nis_over_time,
         "Innovations",
-        "Normalised innovation squared per degree of freedom: above 1 the model claims too little noise, "
-        "below 1 too much.",
+        "Normalised innovation squared per degree of freedom: above 1 the stated noise is too small, "
+        "below 1 too large.",
     ),
     "whiteness": (
         consistency_figures.whiteness,
         "Whiteness",
-        "Autocorrelation of the NIS: bars beyond the grey band mean that innovations depend on those before, "
-        "so that they count as fewer.",
+        "Autocorrelation of the NIS: bars beyond the grey band show correlated innovations, whose effective "
+        "number is smaller.",
     ),
     "bands": (
         consistency_figures.bands,
-        "Errors and claims",
-        "Each component of the error, and three standard deviations as claimed. Worlds are joined as the "
-        "metrics say.",
+        "Errors and three sigma",
+        "Each component of the error, and three estimated standard deviations. Worlds are joined as the "
+        "metrics state.",
     ),
     "nees": (
         consistency_figures.nees,
         "Consistency",
-        "Normalised squared error per degree of freedom: above the grey band an estimate is farther off than "
-        "it claims.",
+        "NEES per degree of freedom: above the grey band an estimate is overconfident.",
     ),
     "coverage": (
         consistency_figures.coverage,
         "Coverage",
-        "Share of the errors that lie within what was claimed, against the share that should: below the "
-        "diagonal too much is claimed.",
+        "Share of the errors within the estimated bounds, against the nominal share: below the diagonal an "
+        "estimate is overconfident.",
     ),
     "bound": (
         limit_figures.bound,
         "Errors and the bound",
         "Length of the errors of rotation and position since the first frame, and the least root mean square "
-        "that any estimator can have over many drives. On one drive luck decides on which side a line lies.",
+        "that any estimator can have over many sequences. On a single one chance decides on which side a "
+        "line lies.",
     ),
     "lag_curve": (
         limit_figures.lag_curve,
@@ -224,27 +224,27 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
     "segments": (
         error_figures.segment_errors,
         "Errors of segments",
-        "Translation error over segments of the way: quartiles, and 5 to 95 %. Against a reference without "
-        "attitudes, errors of displacements in the plane.",
+        "Translation error over segments of the trajectory: quartiles, and 5 to 95 %. Against a reference "
+        "without attitudes, errors of displacements in the plane.",
     ),
     "distances": (
         consistency_figures.distances,
-        "Distance in their own claims",
+        "Distance by their own covariances",
         "Squared Mahalanobis distance of each two estimates by the sum of their covariances, with no "
-        "reference involved. Dotted: from there on they contradict each other.",
+        "reference involved. Dotted: from there on they are inconsistent with each other.",
     ),
     "parting": (
         consistency_figures.parting,
-        "Where they part",
-        "Paths and three-sigma ellipses about the frame from which two estimates contradict each other, both "
-        "begun at the same pose.",
+        "Divergence of the estimates",
+        "Paths and three-sigma ellipses about the frame from which two estimates are inconsistent, both "
+        "started at the same pose.",
     ),
-    "ladder": (error_figures.ladder, "The ladder", "Error of each rung."),
+    "ladder": (error_figures.ladder, "Ablation chain", "Error of each step."),
     "step_time": (step_time, "Time of each step", "Time that each frame took, on a logarithmic axis."),
     "cost": (
         error_figures.accuracy_against_time,
         "Accuracy against time",
-        "What the time of each estimator buys: nearer to the lower left is better.",
+        "Error against time of each estimator: nearer to the lower left is better.",
     ),
 }
 """What draws each figure (None where the results do not have it), its title and its caption."""

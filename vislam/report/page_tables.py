@@ -19,7 +19,7 @@ from vislam.report.table import Table
 def rungs_table(rungs: Sequence[Rung]) -> Table:
     """A row for each step of the ablation chain, against the one before."""
     title = METRICS[rungs[0].key].short_title if rungs else ""
-    header = ["rung", "adds"]
+    header = ["step", "adds"]
     header += [f"filtered {title} [m]", "change [m]", f"smoothed {title} [m]", "change [m]"]
     header.append("smoothed less filtered [m]")
     rows = [
@@ -51,7 +51,7 @@ def pairs_table(evaluation: Evaluation) -> Table:
     header += [
         "squared distance per degree of freedom",
         "poses beyond 95 %",
-        "contradict each other from frame",
+        "inconsistent with each other from frame",
     ]
     header += ["variance of the first over the second", "least in", "most in"]
     header += ["first predicts held-out tracks better [%]", "p"]

@@ -120,7 +120,7 @@ def _literal(text: str) -> str:
 
 def _world(reference: Reference | None) -> list[str]:
     """What a reader must know of the places that are drawn."""
-    ellipsoids = f"Ellipsoids are {_SIGMAS:g} sigma of the position, as the run claims them in the end."
+    ellipsoids = f"Ellipsoids are {_SIGMAS:g} sigma of the position, as the final estimate has them."
     if reference is None:
         return ["There is no reference. Each run is in its own world, z up.", ellipsoids]
     kind = headline_alignment(reference.planar)
