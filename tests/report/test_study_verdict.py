@@ -28,7 +28,7 @@ def test_overconfidence_that_does_not_stay_is_told_by_points():
 
 @pytest.mark.parametrize(
     ("expected", "word"),
-    [(3.0, "is overconfident"), (0.3, "claims less than it knows")],
+    [(3.0, "is overconfident"), (0.3, "is conservative")],
 )
 def test_without_a_sweep_the_claim_is_judged_as_it_is(expected, word):
     trials = Trials.of_records(study({}, seeds=40, overconfident=lambda _: expected))

@@ -23,7 +23,7 @@ def short_table(trials: Trials, ablation: Ablation) -> Table:
     """Defects corrected one after the other: the error of every estimator."""
     key = errors(trials)[0]
     header = [
-        "mended, one after the other",
+        "corrected, one after the other",
         *(f"{_name(trials, run)}, {metric_label(key)}" for run in trials.complete),
     ]
     rows = [[label, *_errors(trials, key, case)] for label, case in _steps(ablation)]
@@ -34,7 +34,7 @@ def mending_table(trials: Trials, ablation: Ablation) -> Table:
     """Defects corrected one after the other: the error of every estimator, and what else is known of it."""
     key = errors(trials)[0]
     details = [name for name in DETAILS if any(_known(trials, run, name) for run in trials.complete)]
-    header = ["mended", "estimator", metric_label(key), *(DETAILS[name] for name in details)]
+    header = ["corrected", "estimator", metric_label(key), *(DETAILS[name] for name in details)]
     rows = []
     for label, case in _steps(ablation):
         for run in trials.complete:
@@ -52,7 +52,7 @@ def defects_table(trials: Trials, ablation: Ablation) -> Table:
     header = ["defect"]
     header += [f"{_name(trials, run)}: {title} if it alone is there [{unit}]" for run in trials.complete]
     header += [f"{_name(trials, run)}: cost [{unit}]" for run in trials.complete]
-    header += [f"{_name(trials, run)}: {title} if it alone is mended [{unit}]" for run in trials.complete]
+    header += [f"{_name(trials, run)}: {title} if it alone is corrected [{unit}]" for run in trials.complete]
     rows = [["none", *_errors(trials, key, ablation.label(()))]]
     rows[0] += ["-"] * (2 * len(trials.complete))
     for alone, mended in zip(ablation.alone(), ablation.mended_alone(), strict=True):
@@ -73,7 +73,7 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
     key = errors(trials)[0]
     title = "What each defect costs"
     caption = (
-        f"Left: {metric_label(key)} as the defects are mended from top to bottom. Right: what each adds "
+        f"Left: {metric_label(key)} as the defects are corrected from top to bottom. Right: what each adds "
         "where it alone is there. A run that failed has no point."
     )
     figure = Figure(figsize=(9.6, 1.2 + 0.34 * len(ablation.defects)), layout="constrained")

@@ -227,13 +227,13 @@ FIGURES: dict[str, tuple[Callable[[Trials], Figure | None], str, str]] = {
         nees,
         "Consistency",
         "Normalised squared error of the pose per degree of freedom: a dot for the average of each trial, "
-        "and their mean with its 95 % interval. Above 1 an estimator is farther off than it claims.",
+        "and their mean with its 95 % interval. Above 1 an estimator is overconfident.",
     ),
     "bound": (
         bound_figure,
         "Excess over the bound",
         "By how much the mean squared error of each estimator exceeds the least there can be, with its 95 % "
-        "interval; the axis is linear to 1 %. At 0 nobody can do better.",
+        "interval; the axis is linear to 1 %. 0 is the bound itself.",
     ),
     "lag_curve": (
         lag_curve,

@@ -90,7 +90,7 @@ def consistency(trials: Trials, name: str) -> str:
     under = [label for label, one in told.items() if one.mean.high < 1.0]
     if not trials.point:
         fair = "is not seen to be inconsistent"
-        word = "is overconfident" if over else "claims less than it knows" if under else fair
+        word = "is overconfident" if over else "is conservative" if under else fair
         return f"{name} {word}: NEES {with_interval(told[labels[0]].mean)}, 1 expected."
     from_on = _onset(trials, name, found)
     if from_on:
@@ -101,7 +101,7 @@ def consistency(trials: Trials, name: str) -> str:
         return (
             f"{name} is overconfident at {len(over)} of {len(told)} points, most at {worst}: NEES {number}."
         )
-    less = f"; at {len(under)} it claims less than it knows" if under else ""
+    less = f"; at {len(under)} it is conservative" if under else ""
     return f"{name} is not seen to be overconfident at any of {len(told)} points{less}."
 
 
