@@ -42,7 +42,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Report the error in one line and exit."""
-        self.exit(2, f"vislam: {one_line(message)}; --help says what there is\n")
+        self.exit(2, f"vislam: {one_line(message)}; --help lists the options\n")
 
 
 def add_config_options(parser: Parser, *, required: bool = True) -> None:
@@ -87,7 +87,7 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         "--tolerance",
         type=float,
         default=0.05,
-        help="share by which an error may exceed the saved one, unless checks say that (default: 0.05)",
+        help="share by which an error may exceed the saved one, unless checks state it (default: 0.05)",
     )
     add("--no-report", action="store_true", help="metrics and checks only: no figures, no page")
     add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")

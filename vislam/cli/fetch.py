@@ -26,7 +26,7 @@ def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.fetch", description=__doc__)
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="recordings to fetch")
-    add("--list", action="store_true", help="say what can be fetched and stop")
+    add("--list", action="store_true", help="list what can be fetched and stop")
     add("--folder", type=Path, help="where files go, in place of $VISLAM_CACHE or the user cache")
     add("--base-url", metavar="URL", help="server in place of the mirrors; files are at URL/<file name>")
     add(

@@ -45,7 +45,7 @@ def _usage() -> str:
     lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
     return "\n".join(
         [
-            "usage: vislam COMMAND ...   (vislam COMMAND --help says what it takes)",
+            "usage: vislam COMMAND ...   (vislam COMMAND --help lists its options)",
             "",
             *lines,
             "",

@@ -40,7 +40,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
     simulation = config.data.simulation
     if simulation is None:
-        raise ConfigError(f"{options.config}: data.simulation is missing; it says what to simulate")
+        raise ConfigError(f"{options.config}: data.simulation is missing; it states what to simulate")
     if simulation.inertial_noise == "step":
         raise ConfigError(
             "data.simulation.inertial_noise: must be sample; a course file has one sample a frame, got 'step'"
