@@ -59,7 +59,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _run(name: str, out: Path) -> Path:
     """``metrics.json`` of a comparison, of the recording and no substitute."""
-    if compare.main([name, "--no-stand-in", "--out", str(out)]):
+    if compare.main([name, "--no-substitute", "--out", str(out)]):
         raise SystemExit(f"{name}: the comparison has failed")
     return max(out.glob(f"{name}-*/metrics.json"), key=lambda path: path.stat().st_mtime)
 

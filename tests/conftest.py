@@ -109,7 +109,7 @@ def short_config() -> Config:
         data=DataConfig(simulation=SHORT, repair=RepairConfig(consensus=None)),
         noise=NoiseConfig(pixel_sigma_px=0.3, drift_px=0.1, match_px=0.4, twist_density=tuple(density)),
         # Each test says itself which observations are left out.
-        frozen_by=(),
+        common_set_from=(),
     )
 
 

@@ -53,18 +53,29 @@ def test_a_config_goes_over_the_one_it_extends(tmp_path):
 LADDER = {"ekf": "the camera", "isam2": "smoothing"}
 
 
-def test_a_ladder_is_replaced_whole_and_told_whole(tmp_path):
-    write(tmp_path, "base.yaml", f"{BASE}ladder: {LADDER}")
+def test_an_ablation_chain_is_replaced_whole_and_told_whole(tmp_path):
+    write(tmp_path, "base.yaml", f"{BASE}ablation_chain: {LADDER}")
     own = write(
         tmp_path,
         "own.yaml",
-        "extends: base.yaml\nestimators: {eks: {}, ekf: {}}\nladder: {eks: all, ekf: less}",
+        "extends: base.yaml\nestimators: {eks: {}, ekf: {}}\nablation_chain: {eks: all, ekf: less}",
     )
     found = config.load(own)
-    assert list(found.ladder) == ["eks", "ekf"]
+    assert list(found.ablation_chain) == ["eks", "ekf"]
     chosen = config.with_estimators(found, {"ekf": {}, "eks": {}, "isam2": {}})
-    assert chosen.ladder == found.ladder
-    assert config.with_estimators(found, {"ekf": {}}).ladder == {}
+    assert chosen.ablation_chain == found.ablation_chain
+    assert config.with_estimators(found, {"ekf": {}}).ablation_chain == {}
+
+
+def test_former_names_of_sections_are_taken_and_noted(tmp_path, caplog):
+    former = write(tmp_path, "former.yaml", f"{BASE}ladder: {{ekf: all}}\nfrozen_by: [ekf]")
+    found = config.load(former, overrides={"frozen_by": ["isam2"]})
+    assert found.ablation_chain == {"ekf": "all"}
+    assert found.common_set_from == ("isam2",)
+    assert "frozen_by is now called common_set_from" in caplog.text
+    both = write(tmp_path, "both.yaml", f"{BASE}frozen_by: []\ncommon_set_from: []")
+    with pytest.raises(ConfigError, match="the former name of common_set_from: give one"):
+        config.load(both)
 
 
 @pytest.mark.parametrize(

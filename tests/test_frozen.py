@@ -62,7 +62,7 @@ def compared(config, folder, **changes):
 def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config: Config, tmp_path):
     sections = {"whole": {}, "picky": {}, "free": {"estimator": "whole", "observations": "all"}}
     sections["ekf"] = {"track_errors": "states"}
-    outcome = compared(short_config, tmp_path, estimators=sections, frozen_by=("picky", "ekf"))
+    outcome = compared(short_config, tmp_path, estimators=sections, common_set_from=("picky", "ekf"))
     assert all(run.complete for run in outcome.results.runs.values())
     planted = short.sequence.track == 3
     assert planted.any()
@@ -107,7 +107,7 @@ def test_the_list_has_a_name_of_its_own(short: Dataset):
 
 
 RUNGS = """
-frozen_by: [ekf, isam2]
+common_set_from: [ekf, isam2]
 gate_probability: 0.9
 estimators:
   dead_reckoning: {}
@@ -167,7 +167,7 @@ NO_LIST = {
     "a name that does not run": (
         {"ekf": {}},
         ("isam3",),
-        ConfigError("estimators.frozen_by.estimator: isam3: no such estimator"),
+        ConfigError("estimators.common_set_from.estimator: isam3: no such estimator"),
     ),
     "no list to be exempt from": (
         {"ekf": {"observations": "all"}},
@@ -179,11 +179,17 @@ NO_LIST = {
         ("ekf",),
         ConfigError("estimators.ekf.observations: Input should be"),
     ),
-    "nothing is left": ({"blind": {}}, ("blind",), ConfigError("frozen_by: blind has fused no observation")),
+    "nothing is left": (
+        {"blind": {}},
+        ("blind",),
+        ConfigError("common_set_from: blind has fused no observation"),
+    ),
     "one that fails": (
         {"failing": {}},
         ("failing",),
-        DivergedError("frozen_by: failing is incomplete, so there is no list: frame 4: DivergedError: lost"),
+        DivergedError(
+            "common_set_from: failing is incomplete, so there is no list: frame 4: DivergedError: lost"
+        ),
     ),
 }
 
@@ -193,12 +199,12 @@ NO_LIST = {
 def test_what_makes_no_list_gets_a_line(case, short_config, tmp_path):
     sections, by, wanted = NO_LIST[case]
     with pytest.raises(type(wanted), match=re.escape(str(wanted))):
-        compared(short_config, tmp_path, estimators=sections, frozen_by=by)
+        compared(short_config, tmp_path, estimators=sections, common_set_from=by)
 
 
 def test_by_default_a_consistent_filter_makes_the_list_for_all(scripted, short_config, tmp_path):
     del scripted
-    default = replace(short_config, frozen_by=Config.__dataclass_fields__["frozen_by"].default)
+    default = replace(short_config, common_set_from=Config.__dataclass_fields__["common_set_from"].default)
     outcome = compared(default, tmp_path, estimators={"whole": {}, "ekf": {}, "isam2": {}})
     frozen = outcome.results.record.frozen
     assert frozen.by == ("ekf_invariant",)
@@ -216,7 +222,7 @@ def test_a_default_list_that_cannot_be_made_stops_nothing(monkeypatch, short_con
         return whole(self, frame)
 
     monkeypatch.setattr(EkfEstimator, "process", failing)
-    default = replace(short_config, frozen_by=Config.__dataclass_fields__["frozen_by"].default)
+    default = replace(short_config, common_set_from=Config.__dataclass_fields__["common_set_from"].default)
     outcome = compared(default, tmp_path, estimators={"ekf": {}})
     assert outcome.results.record.frozen is None
     assert outcome.results.runs["ekf"].complete

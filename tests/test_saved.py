@@ -33,7 +33,7 @@ name: small
 data: {simulation: {frames: 12, tracks_in_view: 14, gyro_bias: [0.004, -0.003, 0.005]}}
 noise: {pixel_sigma_px: 0.5}
 estimators: {dead_reckoning: {}, ekf: {}, isam2: {marginals: all}}
-frozen_by: [ekf]
+common_set_from: [ekf]
 held_out: {share: 0.2}
 lags: [0, 3]
 ladder: {ekf: the camera, isam2: smoothing}

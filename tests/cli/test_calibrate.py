@@ -162,7 +162,7 @@ def test_a_missing_config_gets_one_line_and_2(tmp_path, capsys):
 
 
 def test_missing_data_gets_one_line_and_2(tmp_path, capsys):
-    assert calibrated(DS3, "--no-stand-in") == 2
+    assert calibrated(DS3, "--no-substitute") == 2
     assert "03.npz: not found in" in complaint(capsys)
     assert not list(tmp_path.iterdir())
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 CONFIG = """
 name: kept
 data: {simulation: {frames: 12, tracks_in_view: 20}}
-frozen_by: []
+common_set_from: []
 gates_from: ekf
 estimators: {dead_reckoning: {}, ekf: {}, eks: {}, stereo_vo: {}}
 seed: 1
@@ -189,7 +189,7 @@ def test_an_interrupt_keeps_and_scores_what_had_finished(config, calls, monkeypa
 
 
 def test_passes_that_select_observations_are_kept_too(config, calls):
-    text = CONFIG.replace("frozen_by: []\ngates_from: ekf\n", "frozen_by: [ekf, eks]\n")
+    text = CONFIG.replace("common_set_from: []\ngates_from: ekf\n", "common_set_from: [ekf, eks]\n")
     Path(config).write_text(text, encoding="utf-8")
     _, folder = start(config)
     assert calls[:2] == ["ekf", "eks"]

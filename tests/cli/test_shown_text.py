@@ -57,7 +57,7 @@ def config(name, *, reference="r", limits="none", ladder=None):
         "name": name,
         "data": {"file": "drive.npz", "reference": given},
         "estimators": {"dead_reckoning": {}, "_mine": {"estimator": "dead_reckoning"}},
-        "ladder": ladder or {},
+        "ablation_chain": ladder or {},
     }
     Path("c.yaml").write_text(yaml.safe_dump(tree))
     return ["--config", "c.yaml", "--out", "out", "--junit", "j.xml"]

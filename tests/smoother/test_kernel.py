@@ -126,7 +126,7 @@ def test_filter_and_batch_agree_under_the_kernel_beside_an_outlier():
 def runs(short, short_config):
     """Runs of a comparison with a kernel, of which one cannot take it and another has its own."""
     members = {"ekf": {}, "isam2": {}, "batch_gnc": {}, "plain": {"estimator": "ekf", "kernel": None}}
-    config = replace(with_estimators(short_config, members), kernel=KernelConfig(), frozen_by=())
+    config = replace(with_estimators(short_config, members), kernel=KernelConfig(), common_set_from=())
     return run_comparison(config, short, Silent()).runs
 
 

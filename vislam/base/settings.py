@@ -3,6 +3,7 @@
 What can be set stands beside what it sets; here is what they have in common.
 """
 
+import logging
 import os
 import re
 from dataclasses import asdict
@@ -22,8 +23,11 @@ Parsed = TypeVar("Parsed")
 
 LONGEST_NAME = 128
 """Letters of a name."""
-_WHOLE = ("estimators", "ladder")
+_log = logging.getLogger(__name__)
+_WHOLE = ("estimators", "ablation_chain")
 """Sections in which the order matters: a config that extends another replaces them."""
+RENAMED = {"frozen_by": "common_set_from", "ladder": "ablation_chain"}
+"""Former names of sections, which this version still takes and notes; the next one does not."""
 _MOST_BYTES = 1 << 18
 _MOST_FILES = 16
 """Files that build on each other."""
@@ -37,7 +41,7 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
     ``above`` are files that build on it. A ConfigError says what is wrong with it.
     """
-    tree = _read_one(path)
+    tree = _under_new_names(_read_one(path), str(path))
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -51,6 +55,21 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     # A copy of a shipped config builds on what is shipped beside it.
     below = below if os.path.exists(below) else find_config(base) or below
     return _over(read(below, above=(*above, path.resolve())), tree)
+
+
+def _under_new_names(tree: dict[str, Any], where: str) -> dict[str, Any]:
+    """Give sections that have their former names the new ones."""
+    for former in RENAMED.keys() & tree.keys():
+        if RENAMED[former] in tree:
+            raise ConfigError(f"{where}: {former} is the former name of {RENAMED[former]}: give one of them")
+    return {_new_name(key): value for key, value in tree.items()}
+
+
+def _new_name(key: str) -> str:
+    """Name of a section, noted if it was given by its former one."""
+    if key in RENAMED:
+        _log.warning("%s is now called %s; this version takes the former name, too", key, RENAMED[key])
+    return RENAMED.get(key, key)
 
 
 def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
@@ -135,6 +154,8 @@ def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
     *parents, last = dotted.split(".")
     if not all((*parents, last)) or len(parents) >= DEEPEST:
         raise ConfigError(f"{quoted(dotted)}: expected a key, or keys joined by single dots")
+    if not parents:
+        last = _new_name(last)
     for part in parents:
         if tree.get(part) is None or tree[part] is True:
             # A section that is left empty, or a step that is switched on with its defaults.

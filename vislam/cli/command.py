@@ -50,7 +50,13 @@ def add_config_options(parser: Parser, *, required: bool = True) -> None:
     add_override_options(parser, required=required)
     add = parser.add_argument
     add("--data-dir", type=Path, help="first folder to look for data, before $VISLAM_DATA and data/")
-    add("--no-stand-in", action="store_true", help="a missing recording is an error, not simulated")
+    add(
+        "--no-substitute",
+        "--no-stand-in",
+        action="store_true",
+        dest="no_stand_in",
+        help="a missing recording is an error, not simulated (--no-stand-in is its former name)",
+    )
 
 
 def add_override_options(parser: Parser, *, required: bool = True) -> None:
@@ -137,6 +143,8 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
     """Do the work of a command and return its exit code; an error becomes one line."""
     with lasting_streams():
         logging.basicConfig(level=logging.INFO if verbose else logging.ERROR, format="%(name)s: %(message)s")
+        # Former names of options are noted in any case.
+        logging.getLogger("vislam.base.settings").setLevel(logging.WARNING)
         try:
             with interruptible():
                 return work()

@@ -189,7 +189,7 @@ def prepare(
     require_usable(dataset)
     refuse_unbounded(config)
     found = members(config)
-    estimators = build_estimators(config, dataset, found, listed=bool(config.frozen_by))
+    estimators = build_estimators(config, dataset, found, listed=bool(config.common_set_from))
     for note in dataset.notes:
         progress.note(note)
     dataset, kept_back = _parted(config, dataset)
@@ -203,17 +203,17 @@ def prepare(
         identity,
     )
     frozen = None
-    if config.frozen_by:
+    if config.common_set_from:
         makers = list_makers(config, found)
         # Each with a problem of its own, and of the list nobody asks for more than what was fused.
         plain = replace(config, lags=())
         gating = {name: maker.build(make_problem(plain, dataset)) for name, maker in makers.items()}
         exempt = tuple(name for name, member in found.items() if member.takes_all)
         try:
-            frozen = runner.freeze(gating, by=config.frozen_by, exempt=exempt)
+            frozen = runner.freeze(gating, by=config.common_set_from, exempt=exempt)
         except (ConfigError, DivergedError) as failure:
             # What nobody asked for stops no run that was asked for.
-            if config.frozen_by != (LIST_MAKER,):
+            if config.common_set_from != (LIST_MAKER,):
                 raise
             progress.note(f"{failure}; each run is given all observations and gates for itself")
             estimators = build_estimators(config, dataset, found)

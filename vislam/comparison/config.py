@@ -201,8 +201,8 @@ class Config:
     numbers."""
     gates_from: str | None = None
     """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
-    where there is ``frozen_by``."""
-    frozen_by: tuple[str, ...] = (LIST_MAKER,)
+    where there is ``common_set_from``."""
+    common_set_from: tuple[str, ...] = (LIST_MAKER,)
     """Runs, or estimators, that decide which observations all are given: they go first, one after the other,
     each without what those before it left out. Then all run on what each of these fused, of the tracks that
     were seen more than once, and none gates for itself. Empty: each is given everything."""
@@ -211,7 +211,7 @@ class Config:
     )
     """The runs in order, each with the options of its estimator. A run is of the estimator it is named for or
     of the one that its section names: ``{mine: {estimator: ekf, gate: false}}``."""
-    ladder: dict[str, Remark] = field(default_factory=dict)
+    ablation_chain: dict[str, Remark] = field(default_factory=dict)
     """What each run adds to the one before it here, by the name of the run; the report then says what that
     does to the error. Order them so that each differs from the one before by one thing."""
     checks: tuple[Check, ...] = ()
@@ -245,7 +245,7 @@ def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:
     """Load a configuration file.
 
     A file may build on another, named by ``extends`` relative to itself: its own values go over those of the
-    other, key by key in sections; ``estimators`` and ``ladder`` are replaced as a whole.
+    other, key by key in sections; ``estimators`` and ``ablation_chain`` are replaced as a whole.
 
     Parameters
     ----------
@@ -270,6 +270,6 @@ def with_estimators(config: Config, estimators: dict[str, dict[str, Any]]) -> Co
     An ablation chain that lacks one of its steps is left out, and so is a check that needs one that is not
     there.
     """
-    ladder = config.ladder if config.ladder.keys() <= estimators.keys() else {}
+    chain = config.ablation_chain if config.ablation_chain.keys() <= estimators.keys() else {}
     checks = tuple(check for check in config.checks if estimators.keys() >= set(check.runs))
-    return replace(config, estimators=estimators, ladder=ladder, checks=checks)
+    return replace(config, estimators=estimators, ablation_chain=chain, checks=checks)

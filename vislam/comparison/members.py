@@ -25,8 +25,8 @@ class MemberConfig:
     estimator: str | None = None
     """Which estimator it is, so that two settings of one can be compared; null: the one it is named for."""
     observations: Literal["listed", "all"] = "listed"
-    """``listed``: the common observation set, if there is one (``frozen_by``). ``all``: all that the repairs
-    left, gated or not as the estimator's own options say."""
+    """``listed``: the common observation set, if there is one (``common_set_from``). ``all``: all that the
+    repairs left, gated or not as the estimator's own options say."""
     kernel: KernelConfig | Literal["shared"] | None = "shared"
     """``shared``: that of the comparison. Another, or null for none, is for this run alone, whose information
     is then not that of the rest."""
@@ -86,30 +86,32 @@ class Unbuilt:
 
 def members(config: Config) -> dict[str, Member]:
     """Estimators of a comparison by the name of their run, in order; a ConfigError names the key."""
-    for name in config.ladder:
+    for name in config.ablation_chain:
         if name not in config.estimators:
-            raise ConfigError(f"ladder: expected names out of {', '.join(config.estimators)}, got {name}")
+            raise ConfigError(
+                f"ablation_chain: expected names out of {', '.join(config.estimators)}, got {name}"
+            )
     by = config.gates_from
     if by is not None and by not in config.estimators:
         raise ConfigError(f"gates_from: expected a run ({', '.join(config.estimators)}) or null, got {by}")
     found = {name: _member(name, section) for name, section in config.estimators.items()}
     for name, member in found.items():
-        if member.takes_all and not config.frozen_by:
+        if member.takes_all and not config.common_set_from:
             raise ConfigError(
-                f"estimators.{name}.observations: all are given anyway unless there is frozen_by"
+                f"estimators.{name}.observations: all are given anyway unless there is common_set_from"
             )
     return found
 
 
 def list_makers(config: Config, found: Mapping[str, Member]) -> dict[str, Member]:
     """Who decides which observations all are given, by name, in order: runs of the config, or estimators."""
-    return {name: found[name] if name in found else _list_maker(name) for name in config.frozen_by}
+    return {name: found[name] if name in found else _list_maker(name) for name in config.common_set_from}
 
 
 def _list_maker(name: str) -> Member:
     # The standard one need not finish its map.
     options = {"finished": "as_left"} if name == LIST_MAKER else {}
-    return Member(estimator.find(name, section="frozen_by"), options, takes_all=False)
+    return Member(estimator.find(name, section="common_set_from"), options, takes_all=False)
 
 
 def _member(name: str, section: Mapping[str, Any]) -> Member:

@@ -150,7 +150,7 @@ def publish(results: Results, folder: Path, checklist: Checklist, *, report: boo
     """
     evaluation = evaluate(results.runs, results.record)
     verdicts = checklist.judge(results.runs, evaluation)
-    rungs = attribute(results.config.ladder, results.runs, evaluation, results.record.reference)
+    rungs = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
     document = metrics_document(results, evaluation, rungs, verdicts)
     clear_report(folder)
     written = folder / "metrics.json"

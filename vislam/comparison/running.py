@@ -70,14 +70,16 @@ class Runner:
             self.keeper.keep(found, preparatory=True)
             if not found.complete:
                 raise DivergedError(
-                    f"frozen_by: {name} is incomplete, so there is no list: {found.log.error}"
+                    f"common_set_from: {name} is incomplete, so there is no list: {found.log.error}"
                 )
             kept &= found.used
             if not kept.any():
-                raise ConfigError(f"frozen_by: {name} has fused no observation that those before it fused")
+                raise ConfigError(
+                    f"common_set_from: {name} has fused no observation that those before it fused"
+                )
         kept &= self.sequence.seen_again(kept)
         if not kept.any():
-            raise ConfigError("frozen_by: no track is left that was seen more than once")
+            raise ConfigError("common_set_from: no track is left that was seen more than once")
         return FrozenList.of(self.sequence, kept, by=by, exempt=exempt)
 
     def run_all(
