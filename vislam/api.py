@@ -1,4 +1,4 @@
-"""What the commands do, from Python: nothing is printed, and nothing is written unless asked.
+"""The commands from Python: nothing is printed, and nothing is written unless asked.
 
 The heavy imports follow the calls, so that ``import vislam`` is quick.
 """
@@ -48,12 +48,12 @@ def make_callable(name: str) -> None:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a comparison came to.
+    """Outcome of a comparison.
 
     Attributes
     ----------
     results : Results
-        The drive and its runs.
+        The sequence and its runs.
     evaluation : Evaluation
         Their metrics.
     """
@@ -235,7 +235,7 @@ def run(
     config: "Config | str | Path | None" = None,
     options: Mapping[str, Any] | None = None,
 ) -> "Run":
-    """Run one estimator on all observations of a drive.
+    """Run one estimator on all observations of a sequence.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def evaluate(results: "Results | Path | str") -> "Evaluation":
     Raises
     ------
     DataError
-        If the folder is none, or what is in it does not belong together.
+        If the folder holds no results, or files that do not belong together.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Whether an estimator keeps to what the others rely on: for the tests of whoever writes one."""
+"""Checks of the estimator protocol, for the tests of an estimator of your own."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,13 +22,13 @@ _SAME = 1e-9
 def check_estimator(
     build: Build | str, options: Mapping[str, Any] | None = None, *, frames: int = 16, seed: int = 0
 ) -> Run:
-    """Run an estimator over a short simulated drive in several ways, and compare what it says.
+    """Run an estimator over a short simulated sequence in several ways, and compare the results.
 
     Shapes, rotations and covariances are checked at each step, as in every comparison. Beyond that:
 
-    * two runs say the same;
-    * it is causal: what it says at a frame does not change when later frames are left away;
-    * it does not fuse what is not usable.
+    * two runs give the same results;
+    * it is causal: its step at a frame does not change when later frames are left out;
+    * it does not fuse rejected observations.
 
     Parameters
     ----------
@@ -37,19 +37,19 @@ def check_estimator(
     options : mapping, optional
         Of the config's section.
     frames : int
-        Length of the drive.
+        Length of the sequence.
     seed : int
-        Seed of the drive.
+        Seed of the sequence.
 
     Returns
     -------
     Run
-        The run over the whole drive.
+        The run over the whole sequence.
 
     Raises
     ------
     ContractError
-        Says what is wrong, in one line.
+        States the violation in one line.
 
     Examples
     --------

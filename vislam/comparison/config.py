@@ -77,7 +77,7 @@ class RedrawConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
-    """Where the data comes from and how it is to be read and repaired."""
+    """Source of the data, and how it is read and repaired."""
 
     file: str | None = None
     """Recorded course file (.npz); null for a simulation or packaged data."""
@@ -171,10 +171,10 @@ class KernelConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class HeldOutConfig:
-    """Tracks that are kept from every estimator; afterwards they say how well each predicts them."""
+    """Tracks that are withheld from every estimator; each is scored by how well it predicts them."""
 
     share: Annotated[float, Field(ge=0, lt=1)] = 0.1
-    """Chance of each track to be held out; 0: none is, and nothing is scored by them."""
+    """Probability of each track to be withheld; 0: none is, and nothing is scored by them."""
     seed: Seed = 0
     """Seed of the choice."""
 
@@ -191,9 +191,9 @@ class Config:
     noise: NoiseConfig = NoiseConfig()
     """Noise and prior of every estimator."""
     held_out: HeldOutConfig = HeldOutConfig()
-    """What is kept from every estimator, to score them by without a reference."""
+    """Tracks that are withheld from every estimator, to score them without a reference."""
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973
-    """Share of good observations that the chi-square gate lets pass."""
+    """Probability with which the chi-square gate accepts a valid observation."""
     kernel: KernelConfig | None = None
     """Robust kernel of every estimator, on residuals whitened by the measurement noise; null: pixel errors
     are Gaussian. A run may have another by a ``kernel`` of its own section. Who cannot take it is named as of
@@ -203,19 +203,19 @@ class Config:
     """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
     where there is ``common_set_from``."""
     common_set_from: tuple[str, ...] = (LIST_MAKER,)
-    """Runs, or estimators, that decide which observations all are given: they go first, one after the other,
-    each without what those before it left out. Then all run on what each of these fused, of the tracks that
-    were seen more than once, and none gates for itself. Empty: each is given everything."""
+    """Runs, or estimators, that determine the common observation set: they run first, one after the other,
+    each without what those before it rejected. Then all run on what each of these fused, of the tracks that
+    were observed more than once, and none gates for itself. Empty: each is given everything."""
     estimators: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {"dead_reckoning": {}, "ekf": {}, "isam2": {}}
     )
     """The runs in order, each with the options of its estimator. A run is of the estimator it is named for or
     of the one that its section names: ``{mine: {estimator: ekf, gate: false}}``."""
     ablation_chain: dict[str, Remark] = field(default_factory=dict)
-    """What each run adds to the one before it here, by the name of the run; the report then says what that
-    does to the error. Order them so that each differs from the one before by one thing."""
+    """Ablation chain: what each run adds to the one before it here, by the name of the run; the report then
+    has the change of the error. Order them so that each differs from the one before by one thing."""
     checks: tuple[Check, ...] = ()
-    """What is demanded of the results; the exit code says whether it holds."""
+    """Requirements on the results; the exit code states whether they hold."""
     false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01
     """Chance that results of consistent estimators fail one of the tests among the checks, whichever; shared
     out evenly among the tests (Bonferroni)."""
