@@ -1,4 +1,4 @@
-"""Dead reckoning (report, section III-A): the inertial data integrated, with their covariance, no camera."""
+"""Dead reckoning (course report, section III-A): the inertial data integrated, with their covariance."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Localisation on a given map (report, section III-C): the pose alone by EKF."""
+"""Localisation on a given map (course report, section III-C): the pose alone by EKF."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass

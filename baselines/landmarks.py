@@ -1,4 +1,4 @@
-"""Landmarks seen from known poses: an EKF for each (report, section III-B), all of them at once."""
+"""Landmarks seen from known poses: an EKF for each (course report, section III-B), all of them at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

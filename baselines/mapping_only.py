@@ -1,4 +1,4 @@
-"""Mapping with given poses (report, section III-B)."""
+"""Mapping with given poses (course report, section III-B)."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The report's visual-inertial SLAM (section III-D), with every trait that made it fail as a switch.
+"""The course report's visual-inertial SLAM (section III-D), each trait that made it fail an option.
 
 One dense filter of the pose and all landmarks so far, eqs. (25) to (29). As its options stand it is the
 report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors: independent``), as

@@ -1,4 +1,4 @@
-"""Points as the stereo pair sees them from a pose, with the derivatives by both (report, eqs. 16 to 19)."""
+"""Stereo observations of points from a pose, with both derivatives (course report, eqs. 16 to 19)."""
 
 from dataclasses import dataclass
 
