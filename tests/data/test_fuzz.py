@@ -301,7 +301,7 @@ def test_references_of_any_text(tmp_path, content, form):
 def test_a_reference_in_one_endless_line(tmp_path):
     config = ReferenceConfig(file="r.txt", format="kitti", name="r", limits="l")
     (tmp_path / "r.txt").write_bytes(b"1 " * 2_000_000)
-    with little_memory(2e6), pytest.raises(DataError, match=r"r\.txt:1: must hold 12 finite numbers"):
+    with little_memory(2e6), pytest.raises(DataError, match=r"r\.txt:1: must hold 12 or 16 finite numbers"):
         load_reference(tmp_path / "r.txt", config, imu_T_cam=np.eye(4), stamp=np.arange(10.0))
 
 
@@ -348,7 +348,7 @@ AT_THE_COMMAND_LINE = {
     "a bad reference": (
         GOOD[False],
         ", reference: {file: small.npz, format: kitti, name: r, limits: l}",
-        "small.npz:1: must hold 12 finite numbers",
+        "small.npz: must be a text file of numbers, got a binary one",
     ),
     "a bad folder": (
         GOOD[False],

@@ -34,6 +34,7 @@ from vislam.core.schema import (
     whole,
 )
 from vislam.core.sequence import Repair, Sequence
+from vislam.core.stamped import Stamped
 from vislam.models import StereoRig
 
 _WHAT = "the saved record of a drive"
@@ -73,6 +74,13 @@ _TABLE: Table = {
     "reference.points_world": real("j 3"),
     "reference.sigma": Plain(Level),
     "reference.bias": real("6|T 6", optional=True),
+    "reference.sigma_rotation": Plain(Level, later=True),
+    "reference.source": Section(optional=True, later=True),
+    "reference.source.stamp": real("r", INCREASING),
+    "reference.source.position": real("r 2|r 3"),
+    "reference.source.pose": real("r 4 4", RIGID, optional=True),
+    "reference.source.cov": real("r 6 6", gaps=True, optional=True),
+    "reference.source.timed": Plain(bool),
     "frozen": Section(optional=True),
     "frozen.by": Plain(Annotated[tuple[str, ...], Field(min_length=1)]),
     "frozen.exempt": Plain(tuple[str, ...]),
@@ -171,6 +179,8 @@ class Record:
         tree = read_archive(path, _TABLE, what=_WHAT)
         kinds = {"rig": StereoRig, "reference": Reference, "frozen": FrozenList}
         kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound}
+        if tree["reference"] is not None and tree["reference"].get("source") is not None:
+            tree["reference"]["source"] = Stamped(**tree["reference"]["source"])
         for name, kind in kinds.items():
             tree[name] = None if tree.get(name) is None else kind(**tree[name])
         found = cls(**tree)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vislam.base.types import Array, IntArray
+from vislam.core.stamped import Stamped
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,11 @@ class Reference:
         Standard deviation of its own positions, as far as is known [m].
     bias : (6,), (T, 6) or None
         True bias of a simulation's inertial samples (omega, v) [rad/s, m/s]; at each frame if it walks.
+    sigma_rotation : float
+        Standard deviation of its own attitudes, as far as is known [rad].
+    source : Stamped or None
+        All its rows on the stamps they came with, for trajectories that are on none of the frames; None where
+        it is known at the frames only.
     """
 
     name: str
@@ -41,6 +47,8 @@ class Reference:
     points_world: Array = field(default_factory=lambda: np.empty((0, 3)))
     sigma: float = 0.0
     bias: Array | None = None
+    sigma_rotation: float = 0.0
+    source: Stamped | None = None
 
     @property
     def planar(self) -> bool:
