@@ -11,7 +11,7 @@ from html import escape
 from inspect import signature
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from vislam.base.errors import ConfigError
 from vislam.base.shipped import find_config
@@ -24,9 +24,13 @@ if TYPE_CHECKING:
     from vislam.core.estimator import Estimator
     from vislam.core.run import Estimate, Run
     from vislam.core.sequence import Sequence
+    from vislam.datasets.settings import TrajectoryConfig
     from vislam.evaluation import Evaluation
     from vislam.inspection import Inspection
     from vislam.report.table import Table
+
+File = str | Path | Mapping[str, Any]
+"""A trajectory file, or what can be set of one."""
 
 
 class CallableModule(ModuleType):
@@ -277,13 +281,54 @@ def run(
     return feed(estimator, dataset.sequence, pixel_sigma(loaded, dataset), name=name)
 
 
-def evaluate(results: "Results | Path | str") -> "Evaluation":
-    """Metrics of runs, or of a results folder.
+@overload
+def evaluate(
+    results: "Results | Path | str",
+    *,
+    reference: None = None,
+    trajectories: Mapping[str, File] | None = None,
+    **matching: Any,
+) -> "Evaluation": ...
+@overload
+def evaluate(
+    results: None = None, *, reference: File, trajectories: Mapping[str, File], **matching: Any
+) -> Outcome: ...
+def evaluate(
+    results: "Results | Path | str | None" = None,
+    *,
+    reference: File | None = None,
+    trajectories: Mapping[str, File] | None = None,
+    **matching: Any,
+) -> "Evaluation | Outcome":
+    """Metrics of runs or a results folder, maybe beside trajectory files; or of files against a reference.
+
+    Parameters
+    ----------
+    results : Results, Path or str, optional
+        Runs, or the folder of a comparison.
+    reference : Path, str or mapping, optional
+        In place of results: the file that trajectories are scored against, or what can be set of it
+        (:class:`vislam.datasets.settings.TrajectoryConfig`), as ``{"file": "gt.csv", "sigma_m": 0.1}``.
+    trajectories : mapping of str to the same, optional
+        Files by the names that they are to have.
+    **matching
+        ``association``, ``max_time_difference``, ``start`` and ``end``, as
+        :class:`vislam.datasets.settings.MatchingConfig` has them.
+
+    Returns
+    -------
+    Evaluation
+        Of results.
+    Outcome
+        Of files, with tables (``outcome.table()``), ``outcome.metric(key, name)`` and the page
+        (``outcome.report()``).
 
     Raises
     ------
+    ConfigError
+        If it is not said, or said twice, what is to be scored.
     DataError
-        If the folder holds no results, or files that do not belong together.
+        If the folder is none, a file cannot be used, or what is in them does not belong together.
 
     Examples
     --------
@@ -292,12 +337,37 @@ def evaluate(results: "Results | Path | str") -> "Evaluation":
     >>> vislam.evaluate(outcome.results).value("dead_reckoning", "path_length") > 40
     True
     """
+    from vislam.base.settings import parse  # noqa: PLC0415
+    from vislam.comparison.imported import with_trajectories  # noqa: PLC0415
     from vislam.comparison.results import Results  # noqa: PLC0415
+    from vislam.comparison.scoring import ScoringConfig, matching_of, score_files  # noqa: PLC0415
+    from vislam.datasets.settings import MatchingConfig  # noqa: PLC0415
     from vislam.evaluation import evaluate as score  # noqa: PLC0415
 
+    if (results is None) == (reference is None):
+        raise ConfigError("evaluate: give results, or a reference with trajectories")
+    how = parse(MatchingConfig, matching, at="evaluate")
+    given = [_trajectory(name, file) for name, file in (trajectories or {}).items()]
+    if reference is not None:
+        name = "reference" if isinstance(reference, Mapping) else Path(reference).stem
+        config = ScoringConfig(
+            name=name, reference=_trajectory(name, reference), trajectories=tuple(given), matching=how
+        )
+        scored = score_files(config)
+        return Outcome(scored, score(scored.runs, scored.record, scored.own))
     if not isinstance(results, Results):
+        assert results is not None
         results = Results.load(Path(results))
-    return score(results.runs, results.record)
+    results = with_trajectories(results, given, matching_of(how))
+    return score(results.runs, results.record, results.own)
+
+
+def _trajectory(name: str, file: File) -> "TrajectoryConfig":
+    from vislam.base.settings import parse  # noqa: PLC0415
+    from vislam.datasets.settings import TrajectoryConfig  # noqa: PLC0415
+
+    tree = dict(file) if isinstance(file, Mapping) else {"file": str(file)}
+    return parse(TrajectoryConfig, {"name": name, **tree}, at=f"trajectories.{name}")
 
 
 def inspect(data: "Sequence | Config | str | Path") -> "Inspection":

@@ -26,6 +26,7 @@ from vislam.comparison.results import (
     PLACES,
     RECORD,
     SCHEMA_VERSION,
+    Described,
     Published,
     Results,
     announce,
@@ -115,6 +116,8 @@ def compare(
 def keep(results: Results, out: Path, *, report: bool) -> Path:
     """Write results that were had without a folder to one of their own below ``out``; return it.
 
+    Runs are kept with them; what was read from files is there already.
+
     Raises
     ------
     DataError
@@ -125,9 +128,10 @@ def keep(results: Results, out: Path, *, report: bool) -> Path:
     for file in PLACES:
         check_writable(folder / file)
     keeper = FolderKeeper(folder)
-    results.begin(folder)
-    for run in results.runs.values():
-        keeper.keep(run)
+    if isinstance(results.config, Config):
+        results.begin(folder)
+        for run in results.runs.values():
+            keeper.keep(run)
     checklist = read_checklist(results.config, against=None, tolerance=0.0, schema_version=SCHEMA_VERSION)
     publish(results, folder, checklist, report=report)
     return folder
@@ -350,7 +354,7 @@ def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:
     return hashlib.sha256("|".join(parts).encode()).hexdigest()
 
 
-def result_id(config: Config, identity: str) -> str:
+def result_id(config: Described, identity: str) -> str:
     """Name of the results folder: that of the config, and the beginning of the hash."""
     return f"{folder_name(config.name)}-{identity[:_ID_DIGITS]}"
 

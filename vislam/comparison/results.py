@@ -4,19 +4,19 @@ import io
 import json
 import logging
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from vislam.base.errors import INTERRUPTED, DataError
 from vislam.base.files import replace_whole, write_text
 from vislam.base.progress import Progress
-from vislam.checks.judge import Checklist, Verdict
+from vislam.checks.judge import Checklist, Demanding, Verdict
 from vislam.checks.junit import write_junit
 from vislam.comparison import config as configuration
-from vislam.comparison.config import Config
 from vislam.comparison.keeping import RUNS
+from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record
 from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation, evaluate
@@ -25,6 +25,7 @@ from vislam.evaluation.information import SharedInformation, shared_information,
 from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import all_figures
+from vislam.report.noticed import noticed_lines, read_lines
 from vislam.report.page import clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
@@ -42,13 +43,27 @@ PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.
 _DPI = 130
 
 
+class Described(Demanding, Protocol):
+    """What results are of: a comparison, or trajectory files and their reference."""
+
+    @property
+    def name(self) -> str:
+        """As it stands in titles."""
+        ...
+
+    @property
+    def ladder(self) -> dict[str, str]:
+        """What each run adds to the one before it."""
+        ...
+
+
 @dataclass(frozen=True)
 class Results:
     """What a comparison has done, before anything is made of it.
 
     Attributes
     ----------
-    config : Config
+    config : Config or ScoringConfig
     record : Record
     runs : dict of name to Run
         In their order.
@@ -56,13 +71,16 @@ class Results:
         Whether it was stopped before all runs had ended.
     spread : Spread or None
         What choices of the settings do to the errors; None until that has been tried.
+    own : mapping of name to OwnClock
+        How those from elsewhere are matched with the reference.
     """
 
-    config: Config
+    config: Described
     record: Record
     runs: dict[str, Run]
     interrupted: bool = False
     spread: Spread | None = None
+    own: Mapping[str, OwnClock] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -148,7 +166,7 @@ def publish(results: Results, folder: Path, checklist: Checklist, *, report: boo
 
     Nothing but results and checklist enters: whoever reads them from their folder gets the same bytes.
     """
-    evaluation = evaluate(results.runs, results.record)
+    evaluation = evaluate(results.runs, results.record, results.own)
     verdicts = checklist.judge(results.runs, evaluation)
     rungs = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
     document = metrics_document(results, evaluation, rungs, verdicts)
@@ -194,6 +212,7 @@ def _write_report(
         config=configuration.dump(results.config),
         unequal=unequal_line(results.shared_information()),
         spread=results.spread,
+        noticed=noticed_lines(results.own),
     )
 
 
@@ -239,6 +258,9 @@ def metrics_document(
         },
         "robustness": None if results.spread is None else results.spread.record(),
         "equal_information": [item.record() for item in results.shared_information()],
+        "elsewhere": {
+            name: {"told": list(one.told), "noticed": list(one.noticed)} for name, one in results.own.items()
+        },
         "provenance": dict(record.provenance),
         "metrics": evaluation.records(),
         "statistics": evaluation.statistic_records(),
@@ -269,6 +291,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         progress.note(told)
     if unequal:
         progress.note(unequal)
+    for line in (*read_lines(results.own), *noticed_lines(results.own)):
+        progress.note(line)
     progress.note(f"{published.path.stem}: {published.path}")
     for name, run in results.runs.items():
         if not run.complete:

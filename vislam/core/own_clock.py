@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from vislam.base.types import Array
 from vislam.core.reference import Reference
 from vislam.core.run import Run
 
@@ -21,6 +22,8 @@ class OwnClock:
         Whether the stamps are times.
     facts : mapping of str to float
         Metrics of how it was matched, by their key.
+    points : (m, 3) or None
+        Of its map, in its world [m].
     told : tuple of str
         How it was read and matched.
     noticed : tuple of str
@@ -31,5 +34,6 @@ class OwnClock:
     reference: Reference
     timed: bool = True
     facts: Mapping[str, float] = field(default_factory=dict)
+    points: Array | None = None
     told: tuple[str, ...] = ()
     noticed: tuple[str, ...] = ()

@@ -69,6 +69,7 @@ _TABLE: Table = {
     "up": real("3", DIRECTION),
     "fit": Plain(tuple[Level, int] | None),
     "blind": Plain(bool),
+    "elsewhere": Plain(bool, later=True),
     "identity": Plain(str),
     "information": Plain(dict[str, str]),
     "lagged": Section(optional=True, later=True),
@@ -202,6 +203,8 @@ class Run:
         Sum of the squared residuals of the final estimate, each by its noise, and its degrees of freedom.
     blind : bool
         Whether the estimator is not meant to use the camera.
+    elsewhere : bool
+        Whether it was read from a trajectory file, so that nobody knows what was given and fused.
     identity : str
         Hash of all that decides the run; empty if it is not known.
     information : dict of str to str
@@ -227,6 +230,7 @@ class Run:
     up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     fit: tuple[float, int] | None = None
     blind: bool = False
+    elsewhere: bool = False
     identity: str = ""
     information: dict[str, str] = field(default_factory=dict)
     lagged: Lagged | None = None

@@ -72,7 +72,7 @@ class TrajectoryConfig:
     """Its name, as tables and page print it."""
     file: str
     """Path of the file."""
-    format: Format | Literal["auto"] = "auto"
+    format: Literal[Format, "auto"] = "auto"
     """One of the formats that are read; ``auto``: by the content."""
     limits: Remark = "from elsewhere"
     """What it does not tell, as the report prints it of a reference."""
@@ -100,9 +100,9 @@ class TrajectoryConfig:
     """File of frame numbers, one a row, for a format that has none."""
     cov: str | None = None
     """File of covariances beside it: a stamp, then 21 numbers (lower triangle by rows) or 36."""
-    cov_order: Order | Literal["auto"] = "auto"
+    cov_order: Literal[Order, "auto"] = "auto"
     """Order of rows and columns of its covariances; ``auto``: as the format has it, else what fits."""
-    cov_frame: Frame | Literal["auto"] = "auto"
+    cov_frame: Literal[Frame, "auto"] = "auto"
     """Where their error stands (``right``, ``left``, ``split``, ``world``); ``auto`` alike."""
     map: str | None = None
     """File of the points of its map: PLY, or npz with ``points_world``."""

@@ -27,7 +27,7 @@ UPRIGHT = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
 """From camera axes to x forward, y left, z up: planar and height then mean the same for all."""
 _FEWEST = 2
 _MARGIN = 10.0
-"""Rows of a reference this long before and after the recording are kept for trajectories from elsewhere [s]."""
+"""Time before and after the recording from which rows are kept for trajectories from elsewhere [s]."""
 _SAME_STAMP = 1e-4
 """How far the stamp of a covariance may be from that of its pose [s]."""
 

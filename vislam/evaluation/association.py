@@ -30,6 +30,8 @@ class Matched:
         shortest way there can be, not the way driven.
     estimate_dropped, reference_dropped : int
         Frames that have no partner.
+    timed : bool
+        Whether the stamps are times; numbers of frames otherwise.
     """
 
     frame: IntArray
@@ -40,6 +42,7 @@ class Matched:
     driven: Array
     estimate_dropped: int
     reference_dropped: int
+    timed: bool = True
 
     @property
     def planar(self) -> bool:
@@ -47,7 +50,9 @@ class Matched:
         return self.position.shape[1] == 2
 
 
-def associate(frame: IntArray, stamp: Array, world_T_imu: Array, reference: Reference) -> Matched:
+def associate(
+    frame: IntArray, stamp: Array, world_T_imu: Array, reference: Reference, *, timed: bool = True
+) -> Matched:
     """Match an estimate with a reference by frame, and move it to the reference's point.
 
     Parameters
@@ -58,6 +63,8 @@ def associate(frame: IntArray, stamp: Array, world_T_imu: Array, reference: Refe
         Their camera times [s].
     world_T_imu : (T, 4, 4)
     reference : Reference
+    timed : bool
+        Whether the stamps are times.
 
     Returns
     -------
@@ -74,6 +81,7 @@ def associate(frame: IntArray, stamp: Array, world_T_imu: Array, reference: Refe
         driven=distance_along(reference.position)[other],
         estimate_dropped=len(frame) - len(common),
         reference_dropped=len(reference.frame) - len(common),
+        timed=timed,
     )
 
 

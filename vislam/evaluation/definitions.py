@@ -13,6 +13,25 @@ DEFINITIONS = {
     "ate_rotation_rmse": (
         "Root mean square angle between estimated and reference attitude, after the same alignment."
     ),
+    "ate_sim3_rmse": (
+        "The absolute trajectory error after the similarity alignment (Umeyama 1991): the scale is fitted, too."
+    ),
+    "rows_matched": "Rows of a trajectory file that belong to a row of the reference, or to a moment of it.",
+    "share_matched": "The same, as a share of the rows of the sparser of the two.",
+    "completion": "Time from the first matched row to the last, as a share of that of the reference.",
+    "scale": "Factor by which the positions of a trajectory were multiplied to fit (alignment: sim3).",
+    "clock_offset": "What was added to the stamps of a trajectory to fit (clock_offset: estimate).",
+    "log_score_pose": (
+        "Negative log-density of the pose errors under the estimated covariances, mean over the frames: a "
+        "proper score, less is better."
+    ),
+    "energy_score_position": (
+        "Energy score of the position errors under the estimated covariances (Gneiting and Raftery 2007), mean "
+        "over the frames: a proper score in metres, less is better."
+    ),
+    "map_points_complete": (
+        "Share of the points of the other map that have a point of this one within 5 % of their depth."
+    ),
     "held_out_median": (
         "Tracks withheld from every estimator are triangulated from half of their observations at the "
         "estimated poses and predicted in the other half: median over the tracks of the RMS pixel error."

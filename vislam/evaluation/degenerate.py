@@ -30,7 +30,7 @@ def degeneracies(run: Run, record: Record, estimate: Estimate | None = None) -> 
 
     None for a sound one, nor for that of a run from elsewhere.
     """
-    if run.blind or not len(run.stamp):
+    if run.blind or run.elsewhere or not len(run.stamp):
         return ()
     final = estimate in (None, run.estimates[-1])
     return (

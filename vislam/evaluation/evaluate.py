@@ -7,6 +7,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
+from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record
 from vislam.core.reference import Reference
 from vislam.core.run import Estimate, Run
@@ -80,6 +81,14 @@ class Evaluation:
         scores = self.scores[name]
         found = scores.final if estimate is None else scores.estimates.get(estimate)
         return () if found is None else found.degenerate
+
+    def noticed(self) -> dict[str, tuple[str, ...]]:
+        """Conventions that would fool the scores, by the run from elsewhere that has them."""
+        return {
+            name: one.own.noticed
+            for name, one in self.scores.items()
+            if one.own is not None and one.own.noticed
+        }
 
     def records(self) -> list[dict[str, object]]:
         """Metrics as plain data for JSON."""
@@ -164,7 +173,9 @@ def inertial_path(record: Record) -> float:
     return float(np.linalg.norm(record.step_twist[1:, 3:], axis=1) @ np.diff(record.stamp))
 
 
-def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
+def evaluate(
+    runs: Mapping[str, Run], record: Record, own: Mapping[str, OwnClock] | None = None
+) -> Evaluation:
     """Score runs, in their order.
 
     Parameters
@@ -173,10 +184,18 @@ def evaluate(runs: Mapping[str, Run], record: Record) -> Evaluation:
         Incomplete runs are scored on the frames they finished.
     record : Record
         Of the drive behind them.
+    own : mapping of name to OwnClock, optional
+        How those from elsewhere are matched with the reference.
     """
+    clocks = own or {}
     against = "" if record.reference is None else record.reference.name
-    scores = {name: score_run(run, record) for name, run in runs.items() if len(run.stamp) >= _FEWEST}
-    equal = {item.pair for item in shared_information(runs, record.frozen) if item.equal}
+    scores = {
+        name: score_run(run, record, clocks.get(name))
+        for name, run in runs.items()
+        if len(run.stamp) >= _FEWEST
+    }
+    fused = {name: run for name, run in runs.items() if not run.elsewhere}
+    equal = {item.pair for item in shared_information(fused, record.frozen) if item.equal}
     pairs = {
         (a, b): score_pair(scores[a], scores[b], record, equal=(a, b) in equal)
         for a, b in combinations(scores, 2)

@@ -72,6 +72,12 @@ _ALL = (
     MetricSpec("ate_rmse", "ATE, SE(3) aligned", "m", 2, "less", "ATE"),
     MetricSpec("ate_planar_rmse", "ATE, planar aligned", "m", 2, "less", "planar ATE"),
     MetricSpec("ate_rotation_rmse", "attitude error, aligned", "deg", 2, "less", "attitude error"),
+    MetricSpec("ate_sim3_rmse", "ATE, Sim(3) aligned", "m", 2, "less", "ATE with free scale"),
+    MetricSpec("rows_matched", "rows matched with the reference", "", 0),
+    MetricSpec("share_matched", "share matched", "%", 1),
+    MetricSpec("completion", "completion", "%", 1),
+    MetricSpec("scale", "scale fitted", "", 4),
+    MetricSpec("clock_offset", "clock offset estimated", "s", 4),
     MetricSpec(
         "held_out_median", "held-out tracks, median error", "px", 2, "less", "error of held-out tracks"
     ),
@@ -97,6 +103,9 @@ _ALL = (
     MetricSpec("coverage_90_position", "positions within the 90 % region", "", 2),
     MetricSpec("coverage_90_position_planar", "planar positions within the 90 % region", "", 2),
     MetricSpec("coverage_90_position_aligned", "aligned positions within the 90 % region", "", 2),
+    MetricSpec("log_score_pose", "log score of the pose", "nats", 2),
+    MetricSpec("energy_score_position", "energy score of the position", "m", 3, "less"),
+    MetricSpec("map_points_complete", "map points found", "%", 1),
     MetricSpec("nis_per_dof", "NIS per degree of freedom", "", 2, "one"),
     MetricSpec("nis_autocorrelation", "innovations, lag-1 autocorrelation", "", 2),
     MetricSpec("smoothing_per_dof", "filtered less smoothed per degree of freedom", "", 2, "one"),
@@ -132,7 +141,16 @@ ESTIMATE_TITLES: dict[Estimate, str] = {
     "smoothed": "smoothed (as known in the end)",
 }
 """Titles of the blocks that metrics are shown in."""
-_FAMILIES_OF_ERRORS = ("ate_", "rpe_", "displacement_", "kitti_", "drift_", "map_error_", "held_out_")
+_FAMILIES_OF_ERRORS = (
+    "ate_",
+    "rpe_",
+    "displacement_",
+    "kitti_",
+    "drift_",
+    "map_error_",
+    "held_out_",
+    "energy_score_",
+)
 """How the keys of all errors start, those of a length or a share of them included."""
 
 

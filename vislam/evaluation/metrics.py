@@ -9,17 +9,21 @@ from vislam.base.types import Array
 from vislam.core.run import Estimate, Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
+from vislam.evaluation.clouds import CloudErrors
 from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.maps import MapDifference
 from vislam.evaluation.metric import LAG_METRICS, at_lag
 from vislam.evaluation.normalised import MULTIPLES, Normalised
-from vislam.evaluation.scores import EstimatePair, EstimateScores, PairScores, RunScores
+from vislam.evaluation.proper_scores import energy_score, log_score
+from vislam.evaluation.scores import DEPTHS, EstimatePair, EstimateScores, PairScores, RunScores
 from vislam.evaluation.smoothing import TOLERANCE, SmoothingDifference
 from vislam.evaluation.statistics import Statistic
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
 from vislam.geometry import se3
 
 _SPEED_KEYS = {"step_time_p50_ms": 50.0, "step_time_p95_ms": 95.0}
+_MATCHING_UNITS = {"share_matched": "%", "completion": "%"}
+_MATCHING_UNITS |= dict.fromkeys(("clock_offset", "clock_offset_low", "clock_offset_high"), "s")
 _YAW = 2
 _AS_A_PERSON = ("pose", "position", "position_planar", "position_aligned")
 """Parts of which consistency is stated by the scale of the sigmas and by a region, too."""
@@ -77,7 +81,7 @@ def of_run(scores: RunScores, reference: str, *, travelled: float = np.nan) -> I
         for key, value, unit, convention in _claim(scores.bias, scores.statistics[scores.bias.name]):
             yield Metric(name, key, value, unit, reference, convention)
     yield Metric(name, "path_length_inertial", travelled, "m", convention="speed by the inertial data alone")
-    for key, value, unit in (*_cost(scores.run), *_innovations(scores)):
+    for key, value, unit in (*_cost(scores.run), *_innovations(scores), *_matching(scores)):
         yield Metric(name, key, value, unit)
     yield from _lags(scores, reference)
     for key, value, convention in _smoothing(scores.smoothing):
@@ -211,6 +215,13 @@ def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float
         )
         told = "share of the frames whose error lies within the estimated 90 % region"
         yield f"coverage_90_{part}", float(claim.coverage_curve(np.array([0.9]))[0]), "1", told
+    if claim.factor is not None:
+        part = claim.name.removeprefix("nees_")
+        told = f"proper score, less is better; {claim.convention}"
+        score = float(log_score(claim.whitened, claim.factor).mean())
+        yield f"log_score_{part}", score, "nats", told
+        if part.startswith("position"):
+            yield f"energy_score_{part}", float(energy_score(claim.whitened, claim.factor).mean()), "m", told
 
 
 def _of_itself(run: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:
@@ -234,6 +245,27 @@ def _cost(run: Run) -> Iterator[tuple[str, float, str]]:
     yield "landmarks", float(len(run.landmarks)), "1"
     yield "observations_used", float(run.used.sum()), "1"
     yield "observations_gated", float(run.gated.sum()), "1"
+
+
+def _matching(scores: RunScores) -> Iterator[tuple[str, float, str]]:
+    """How one from elsewhere was matched with the reference."""
+    if scores.own is not None:
+        for key, value in scores.own.facts.items():
+            yield key, value, _MATCHING_UNITS.get(key, "1")
+    if scores.cloud is not None:
+        yield from _cloud(scores.cloud)
+
+
+def _cloud(found: CloudErrors) -> Iterator[tuple[str, float, str]]:
+    """How far a map of points without identities is from another."""
+    if len(found.near):
+        yield "map_error_nearest_median", float(np.median(found.near)), "m"
+        yield "map_error_nearest_rmse", float(np.sqrt(np.mean(found.near**2))), "m"
+    yield "map_points_within", 100.0 * found.within, "%"
+    yield "map_points_complete", 100.0 * found.complete, "%"
+    for row in found.by_depth(DEPTHS):
+        if row.count:
+            yield f"map_error_nearest_median_from_{row.low:g}m", row.distance, "m"
 
 
 def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:
@@ -271,6 +303,10 @@ def of_pair(one: RunScores, other: RunScores, scores: PairScores) -> Iterator[Me
     if scores.by_sum is not None:
         told = "filtered against smoothed; worlds joined at the first pose, by the sum of the two covariances"
         yield Metric(pair, "smoothing_by_sum", scores.by_sum.per_freedom, "1", convention=told)
+    if scores.cloud is not None:
+        told = "each point with the nearest of the other map, worlds aligned by the poses"
+        for key, value, unit in _cloud(scores.cloud):
+            yield Metric(pair, key, value, unit, convention=told)
     ends = one.run.estimates[-1], other.run.estimates[-1]
     told = f"landmarks of the {ends[0]} estimate of the first and of the {ends[1]} one of the second"
     both = ends[0] if ends[0] == ends[1] else None

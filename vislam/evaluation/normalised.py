@@ -54,6 +54,8 @@ class Normalised:
     convention : str
     fitted : bool
         Whether part of the error was fitted away.
+    factor : (n, d, d) or None
+        ``L``; None where it is not kept.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Normalised:
     whitened: Array
     convention: str
     fitted: bool = False
+    factor: Array | None = None
 
     @property
     def nees(self) -> Array:
@@ -110,8 +113,13 @@ def pose_errors(
     if reference.pose is None or len(frame) < 2:
         return None
     pose, cov = _at_point(run.poses(estimate), own, reference.imu_T_point)
+    parts = PARTS
+    if np.isnan(cov[:, :3, :3]).all() and not np.isnan(cov[:, 3:, 3:]).all():
+        # Others may give covariances of positions alone.
+        parts, cov = {"position": PARTS["position"]}, _with_unit_rotation(cov)
     target = reference.pose[other]
     error = se3.local(pose, pose[0] @ se3.inverse(target[0]) @ target)
+    cov = cov + _of_reference(target, reference)
     level = np.zeros((len(pose), 6, 6))
     level[:, :3, :3] = level[:, 3:, 3:] = pose[:, :3, :3]
     staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
@@ -126,6 +134,9 @@ def pose_errors(
         f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
         f"worlds joined at frame {frame[0]}; estimated covariance, right perturbation"
     )
+    if reference.sigma or reference.sigma_rotation:
+        degrees = np.rad2deg(reference.sigma_rotation)
+        convention += f", and of the reference's own {reference.sigma:g} m and {degrees:g} deg"
     return {
         part: Normalised(
             f"nees_{part}",
@@ -134,8 +145,9 @@ def pose_errors(
             _sigma(cov)[:, columns],
             whiten(staying[:, columns], staying_cov[:, columns, columns]),
             convention,
+            factor=np.asarray(np.linalg.cholesky(staying_cov[:, columns, columns]), float),
         )
-        for part, columns in PARTS.items()
+        for part, columns in parts.items()
     }
 
 
@@ -188,6 +200,7 @@ def position_errors(
         "least NEES, which takes part of the error out, so that only values above 1 accuse; estimated "
         f"covariance, and {reference_sigma:g} m of the reference's own",
         fitted=True,
+        factor=np.asarray(np.linalg.cholesky(cov_world), float),
     )
 
 
@@ -240,6 +253,27 @@ def nis_whiteness(run: Run) -> Whiteness | None:
     return statistics.whiteness(run.innovations.nis[found], run.innovations.dof[found].astype(float))
 
 
+def _with_unit_rotation(cov: Array) -> Array:
+    """Covariances whose rotation, which is not given, is of unit variance and on its own."""
+    whole = np.zeros(cov.shape)
+    whole[:, :3, :3], whole[:, 3:, 3:] = np.eye(3), cov[:, 3:, 3:]
+    return whole
+
+
+def _of_reference(target: Array, reference: Reference) -> Array:
+    """Covariances ``(n, 6, 6)`` that the reference's own uncertainty adds to the errors of joined worlds.
+
+    With the reference ``target exp(n)`` and the worlds joined at the first pose, the error of pose k is
+    ``e_k + n_k - Ad(rel^-1) n_0`` to first order, where ``rel`` is the motion from the first pose to it: what
+    the first pose of the reference is off by, its turn above all, is carried along.
+    """
+    own = np.diag(np.repeat([reference.sigma_rotation**2, reference.sigma**2], 3))
+    if not own.any():
+        return np.zeros((len(target), 6, 6))
+    carried = se3.adjoint(se3.inverse(target) @ target[0])
+    return np.asarray(own + carried @ own @ carried.transpose(0, 2, 1))
+
+
 def usable(cov: Array) -> BoolArray:
     """Which covariances ``(n, d, d)`` are given, symmetric, and more than zero and rounding."""
     size = cov.shape[-1]
@@ -260,6 +294,8 @@ def whiten(error: Array, cov: Array) -> Array:
 
 def _at_point(poses: Poses, row: IntArray, imu_T_point: Array) -> tuple[Array, Array]:
     """Poses of a point of the body, and their covariances on the right."""
+    if np.array_equal(imu_T_point, np.eye(4)):
+        return poses.world_T_imu[row], poses.covariances[row]
     move = se3.adjoint(se3.inverse(imu_T_point))
     return poses.world_T_imu[row] @ imu_T_point, move @ poses.covariances[row] @ move.T
 

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 
 from vislam.base.types import Array, IntArray
+from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record, Tracks
 from vislam.core.reference import Reference
 from vislam.core.run import Estimate, Run
 from vislam.core.trajectory import Poses
 from vislam.evaluation import maps, normalised, smoothing
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
+from vislam.evaluation.alignment import align
+from vislam.evaluation.clouds import CloudErrors, cloud_errors
 from vislam.evaluation.degenerate import degeneracies
 from vislam.evaluation.difference import ErrorDifference, ate_difference
 from vislam.evaluation.efficiency import Efficiency, efficiency
@@ -30,6 +33,7 @@ DEPTHS = np.array([0.0, 10.0, 20.0, 40.0, 80.0, np.inf])
 """Bounds of the depths by which maps are compared [m]."""
 VIEWS = np.array([1.0, 3.0, 6.0, 12.0, 24.0, np.inf])
 """Bounds of the numbers of views."""
+_FEWEST_COMMON = 3
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,10 @@ class RunScores:
         Of the poses as known at each lag; empty where that was not asked for.
     smoothing : SmoothingDifference or None
         Of its own filtered and smoothed poses; None unless it has covariances of both.
+    own : OwnClock or None
+        How a trajectory from elsewhere was matched; None for a run of the recording's frames.
+    cloud : CloudErrors or None
+        Its map of points against those of the reference.
     """
 
     run: Run
@@ -104,6 +112,8 @@ class RunScores:
     bias: Normalised | None
     lags: Sequence[LagScores] = ()
     smoothing: SmoothingDifference | None = None
+    own: OwnClock | None = None
+    cloud: CloudErrors | None = None
 
     @property
     def final(self) -> EstimateScores:
@@ -156,6 +166,8 @@ class PairScores:
         The same two estimates by the sum of their covariances.
     depth, views : (k,)
         Depth [m] of each landmark of ``map`` from the pose that saw it first, and the number of its views.
+    cloud : CloudErrors or None
+        Of their maps as points, where one is from elsewhere.
     """
 
     estimates: Mapping[Estimate, EstimatePair]
@@ -164,6 +176,7 @@ class PairScores:
     views: IntArray
     smoothing: SmoothingDifference | None = None
     by_sum: Agreement | None = None
+    cloud: CloudErrors | None = None
 
     def by_depth(self) -> list[Bin]:
         """How far the maps are apart, by the depth of the landmarks [m]."""
@@ -194,30 +207,66 @@ def fit_statistic(run: Run) -> Statistic | None:
     )
 
 
-def score_run(run: Run, record: Record) -> RunScores:
-    """Score one run."""
+def score_run(run: Run, record: Record, own: OwnClock | None = None) -> RunScores:
+    """Score one run; one from elsewhere, against the reference, on its own clock."""
     run = run.levelled()
     true_bias = None if record.reference is None else record.reference.bias
+    estimates = {estimate: _score_estimate(run, estimate, record, own) for estimate in run.estimates}
     return RunScores(
         run=run,
-        estimates={estimate: _score_estimate(run, estimate, record) for estimate in run.estimates},
+        estimates=estimates,
         nis=normalised.nis_statistic(run),
         whiteness=normalised.nis_whiteness(run),
         bias=None if true_bias is None else normalised.bias_errors(run, true_bias),
         lags=score_lags(run, record),
         smoothing=None if run.smoothed is None else smoothing_difference(run, run),
+        own=own,
+        cloud=_cloud(own, record.reference, estimates[run.estimates[-1]].trajectory),
     )
 
 
-def _score_estimate(run: Run, estimate: Estimate, record: Record) -> EstimateScores:
+def _cloud(
+    own: OwnClock | None, reference: Reference | None, scored: TrajectoryScores | None
+) -> CloudErrors | None:
+    """Points of a map from elsewhere against the true ones, laid on them by the trajectory."""
+    if own is None or own.points is None or reference is None or scored is None:
+        return None
+    if reference.planar or not len(reference.points_world):
+        return None
+    laid = scored.alignments["se3"]
+    return cloud_errors(laid.transform_points(own.points), reference.points_world, reference.position)
+
+
+def _pair_cloud(one: RunScores, other: RunScores) -> CloudErrors | None:
+    """Points of two maps, of which one at least is from elsewhere."""
+    maps_of = [
+        run.run.landmarks.points_world if run.own is None or run.own.points is None else run.own.points
+        for run in (one, other)
+    ]
+    if all(run.own is None for run in (one, other)) or not all(map(len, maps_of)):
+        return None
+    _, first, second = np.intersect1d(one.run.frame, other.run.frame, return_indices=True)
+    if len(first) < _FEWEST_COMMON:
+        return None
+    positions = one.run.final.world_T_imu[first, :3, 3]
+    rotation, translation = align(other.run.final.world_T_imu[second, :3, 3], positions)
+    return cloud_errors(maps_of[0], maps_of[1] @ rotation.T + translation, positions)
+
+
+def _score_estimate(run: Run, estimate: Estimate, record: Record, own: OwnClock | None) -> EstimateScores:
     """Score one estimate of a levelled run."""
-    reference, held, poses = record.reference, record.held_out, run.poses(estimate)
+    held, poses = record.held_out, run.poses(estimate)
+    reference, scored, timed = record.reference, run, True
+    if own is not None:
+        reference, scored, timed = own.reference, own.run, own.timed
     final = estimate == run.estimates[-1]
     trajectory = None
     if reference is not None:
-        trajectory = score_trajectory(run.frame, run.stamp, poses.world_T_imu, reference)
-    joined, aligned = _map_errors(run, record, trajectory) if final else (None, None)
-    claims = _claims(run, estimate, reference) if reference is not None and trajectory is not None else []
+        trajectory = score_trajectory(
+            scored.frame, scored.stamp, scored.poses(estimate).world_T_imu, reference, timed=timed
+        )
+    joined, aligned = _map_errors(run, record, trajectory) if final and own is None else (None, None)
+    claims = _claims(scored, estimate, reference) if reference is not None and trajectory is not None else []
     if joined is not None and joined.normalised is not None:
         claims.append(joined.normalised)
     return EstimateScores(
@@ -289,6 +338,7 @@ def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool 
         depth=depth,
         views=views,
         **(_smoothing(one.run, other.run) if equal else {}),
+        cloud=_pair_cloud(one, other),
     )
 
 

@@ -71,10 +71,13 @@ def headline_alignment(planar: bool) -> AlignmentKind:
 
 
 def score_trajectory(
-    frame: IntArray, stamp: Array, world_T_imu: Array, reference: Reference
+    frame: IntArray, stamp: Array, world_T_imu: Array, reference: Reference, *, timed: bool = True
 ) -> TrajectoryScores | None:
-    """Score poses ``(T, 4, 4)`` of frames and stamps ``(T,)`` [s]; None if too few have a reference."""
-    matched = associate(frame, stamp, world_T_imu, reference)
+    """Score poses ``(T, 4, 4)`` of frames and stamps ``(T,)`` [s]; None if too few have a reference.
+
+    Where the stamps are no times (``timed``), nothing is said over durations.
+    """
+    matched = associate(frame, stamp, world_T_imu, reference, timed=timed)
     if len(matched.frame) < _FEWEST:
         return None
     of_distance, of_time = rpe_by_distance, rpe_by_time
@@ -86,7 +89,7 @@ def score_trajectory(
         alignments=alignments,
         absolute={kind: ate(matched, alignment) for kind, alignment in alignments.items()},
         by_distance=_some({length: of_distance(matched, length) for length in LENGTHS}),
-        by_time=_some({duration: of_time(matched, duration) for duration in DURATIONS}),
+        by_time=_some({duration: of_time(matched, duration) for duration in DURATIONS if matched.timed}),
         kitti=kitti_drift(matched),
         final_drift=final_drift(matched),
         worst=worst_segments(matched, WORST_LENGTH, _WORST),

@@ -103,7 +103,7 @@ def error_over_distance(shown: Shown) -> Figure | None:
         driven = distance_driven(run.final.world_T_imu)
         colour = shown.colour(name)
         axes.plot(
-            driven[np.searchsorted(run.frame, found.headline.frame)],
+            driven[np.searchsorted(run.stamp, found.matched.stamp).clip(max=len(driven) - 1)],
             np.linalg.norm(found.headline.position_error, axis=1),
             ".-",
             ms=2,
@@ -151,8 +151,10 @@ def nis_over_time(shown: Shown) -> Figure | None:
     return figure
 
 
-def step_time(shown: Shown) -> Figure:
-    """Time of each step."""
+def step_time(shown: Shown) -> Figure | None:
+    """Time of each step; None where nobody knows it."""
+    if not any(len(run.cost.step_time) for run in shown.runs.values()):
+        return None
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     for name, run in shown.runs.items():

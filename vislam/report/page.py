@@ -55,6 +55,7 @@ def write_page(
     checks: Sequence[tuple[bool | None, str]] = (),
     unequal: str = "",
     spread: Spread | None = None,
+    noticed: Sequence[str] = (),
 ) -> None:
     """Write the page, whole or not at all; it needs no other file and no network.
 
@@ -68,6 +69,8 @@ def write_page(
         In what the runs' information differed; empty if in nothing.
     spread : Spread or None
         What choices of the settings do to the errors, as far as that is known.
+    noticed : sequence of str
+        What of trajectories from elsewhere would fool their scores.
     """
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
@@ -79,7 +82,7 @@ def write_page(
         notes=notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=checks,
-        verdict=verdict(runs, evaluation, reference, unequal=unequal, spread=spread),
+        verdict=[*noticed, *verdict(runs, evaluation, reference, unequal=unequal, spread=spread)],
         reference=reference,
         tables=[(ESTIMATE_TITLES[estimate], _turned(table)) for estimate, table in tables.items()],
         defined={spec.label: f"metric-{spec.key}" for spec in shown},

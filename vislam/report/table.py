@@ -12,6 +12,7 @@ _LEFT_OUT = ("height_end", "path_length_inertial")
 SHORT = (
     "ate_rmse",
     "ate_planar_rmse",
+    "share_matched",
     "held_out_median",
     "path_length",
     "kitti_t_rel",

@@ -1,7 +1,7 @@
 """Trajectory files of any format: the registry, and how a format is guessed from the content.
 
-``read_rows`` is the way in: it looks at the first bytes and the number of columns, reads, puts in order, drops
-what is lost or double, and counts and says all of it.
+``read_rows`` is the way in: it looks at the first bytes and the number of columns, reads, puts in order,
+drops what is lost or double, and counts and says all of it.
 """
 
 from collections.abc import Callable
@@ -54,11 +54,15 @@ class TrajectoryFormat:
 
 _ALL = (
     TrajectoryFormat("planar_xy", "frame x y", (3,), read_table=positions.planar_xy),
-    TrajectoryFormat("kitti", "3 x 4 or 4 x 4 matrix by rows, one a frame", (12, 16), read_table=matrices.kitti),
+    TrajectoryFormat("kitti", "3 x 4 or 4 x 4 matrix by rows", (12, 16), read_table=matrices.kitti),
     TrajectoryFormat("kitti360", "frame, then the matrix", (13, 17), read_table=matrices.kitti360),
     TrajectoryFormat("tum", "stamp x y z qx qy qz qw", (8, 9), read_table=quaternions.tum),
     TrajectoryFormat(
-        "euroc", "stamp [ns], x, y, z, qw, qx, qy, qz, anything", (8,), more=True, read_table=quaternions.euroc
+        "euroc",
+        "stamp [ns], x, y, z, qw, qx, qy, qz, more",
+        (8,),
+        more=True,
+        read_table=quaternions.euroc,
     ),
     TrajectoryFormat("positions", "stamp x y z, covariance", (4, 10, 13), read_table=positions.positions),
     TrajectoryFormat("openvins", "tum, then 6 + 6 of covariances", (20,), read_table=quaternions.openvins),

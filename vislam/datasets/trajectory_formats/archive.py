@@ -16,7 +16,7 @@ _MOST_NUMBERS = 10**8
 
 
 def npz(path: Path, options: ReadOptions) -> Rows:
-    """``stamp``, ``world_T_imu`` and, if it is there, ``pose_cov``, as :func:`vislam.datasets.export.write_npz`."""
+    """``stamp``, ``world_T_imu`` and maybe ``pose_cov``, as :func:`vislam.datasets.export.write_npz`."""
     arrays = read_arrays(path, ("stamp", "world_T_imu"), ("pose_cov",))
     stamp, pose = arrays["stamp"], arrays["world_T_imu"]
     if stamp.ndim != 1 or pose.shape != (len(stamp), 4, 4):
@@ -45,9 +45,8 @@ def read_arrays(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] =
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in needed if name not in archive]
             if missing:
-                raise DataError(
-                    f"{path}: must hold {' and '.join(needed)}, got {', '.join(archive.files[:8]) or 'nothing'}"
-                )
+                got = ", ".join(archive.files[:8]) or "nothing"
+                raise DataError(f"{path}: must hold {' and '.join(needed)}, got {got}")
             for name in (*needed, *(name for name in optional if name in archive)):
                 array = archive[name]
                 if array.size > _MOST_NUMBERS or array.dtype.kind not in "fiu":

@@ -1,6 +1,6 @@
 """Poses and odometry of ROS bags: rosbag 1, rosbag 2 and MCAP, by the package rosbags."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from vislam.datasets.trajectory_formats.rows import Rows
 from vislam.geometry.pose_covariance import CovarianceConvention
 
 _ROS = CovarianceConvention("position_first", "world")
-_KINDS = {
+_KINDS: dict[str, Callable[[Any], tuple[Any, Any, Any]]] = {
     "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation, None),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (
         m.pose.pose.position,
@@ -37,7 +37,9 @@ def rosbag(path: Path, options: ReadOptions) -> Rows:
         If the package is not installed, the bag cannot be read, or it is not clear which topic is meant.
     """
     if find_spec("rosbags") is None:
-        raise DataError(f"{path}: this is a rosbag; pip install 'vislam[ros]' to read it, or export it as text")
+        raise DataError(
+            f"{path}: this is a rosbag; pip install 'vislam[ros]' to read it, or export it as text"
+        )
     # It is an optional package.
     from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vislam.base.errors import DataError
-from vislam.base.types import Array
+from vislam.base.types import Array, BoolArray
 from vislam.datasets.trajectory_formats.rows import Rows
 from vislam.geometry import se3, so3
 
@@ -69,7 +69,9 @@ def with_matrices(rows: Rows, matrix: Array) -> Rows:
         )
     coarse = off >= _ROTATION_SEVEN_DIGITS
     got = f"R^T R off by {off[np.argmax(coarse)]:.2g}" if coarse.any() else ""
-    rows = rows.counting("rotations_orthogonalised", coarse, "have a rotation (orthogonal, determinant +1)", got)
+    rows = rows.counting(
+        "rotations_orthogonalised", coarse, "have a rotation (orthogonal, determinant +1)", got
+    )
     if coarse.any():
         turn = turn.copy()
         turn[coarse] = Rotation.from_matrix(turn[coarse]).as_matrix()
@@ -122,9 +124,9 @@ def _refuse_absurd(rows: Rows) -> None:
         raise rows.fail(beyond[0], "a frame or a stamp from 0 on", f"{at[beyond[0]]:g}")
 
 
-def _lost(rows: Rows) -> Array:
+def _lost(rows: Rows) -> BoolArray:
     lost = ~np.isfinite(rows.position).all(axis=1)
-    return lost if rows.stamp is None else lost | ~np.isfinite(rows.stamp)
+    return np.asarray(lost if rows.stamp is None else lost | ~np.isfinite(rows.stamp), np.bool_)
 
 
 def _finite(rows: Rows) -> str:
@@ -133,7 +135,7 @@ def _finite(rows: Rows) -> str:
     return f"{numbers.get(rows.format, '')}finite numbers"
 
 
-def _shown(rows: Rows, lost: Array, norm: Array) -> str:
+def _shown(rows: Rows, lost: BoolArray, norm: Array) -> str:
     if not lost.any():
         return ""
     return "norm 0" if norm[np.argmax(lost)] == 0.0 else "nan"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vislam.base.errors import DataError
-from vislam.base.types import Array
+from vislam.base.types import Array, IntArray
 from vislam.datasets.trajectory_formats import clean
 from vislam.datasets.trajectory_formats.options import ReadOptions
 from vislam.datasets.trajectory_formats.rows import Rows
@@ -54,7 +54,7 @@ def _rows(
     name: str,
     matrix: Array,
     *,
-    frame: Array | None = None,
+    frame: Array | IntArray | None = None,
     stamp: Array | None = None,
     by_place: bool = False,
     told: tuple[str, ...] = (),

@@ -25,7 +25,7 @@ def planar_xy(table: TextTable, options: ReadOptions) -> Rows:
             f"{table.path}:{table.line[broken[0]]}: must have a whole number for its frame, "
             f"got {number[broken[0]]:g}"
         )
-    lost = ~np.isfinite(table.values).all(axis=1)
+    lost = np.asarray(~np.isfinite(table.values).all(axis=1), np.bool_)
     frame = np.where(lost, 0.0, number).astype(np.int64)
     position = np.where(lost[:, None], np.nan, table.values[:, 1:3])
     rows = Rows(

@@ -39,26 +39,27 @@ def euroc(table: TextTable, options: ReadOptions) -> Rows:
 
 
 def openvins(table: TextTable, options: ReadOptions) -> Rows:
-    """OpenVINS' recorder: a TUM line, then the upper triangles of the covariances of rotation and position."""
+    """OpenVINS' recorder: a TUM line, then upper triangles of the covariances of rotation and position."""
     cov = np.zeros((len(table.values), 6, 6))
     for block in (0, 3):
         for k, (row, column) in enumerate(_UPPER_THREE):
             value = table.values[:, _POSE + 2 * block + k]
             cov[:, block + row, block + column] = cov[:, block + column, block + row] = value
     told = "covariances of rotation and position as OpenVINS has them, nothing between them in the file"
-    return _with_cov(table, cov, "openvins", _OPENVINS, told, options)
+    return _with_cov(table, cov, options, name="openvins", convention=_OPENVINS, told=told)
 
 
 def smfeval(table: TextTable, options: ReadOptions) -> Rows:
-    """smfeval's wide TUM and SQUARE: a TUM line, then the lower triangle of the 6x6 covariance, by rows."""
+    """Smfeval's wide TUM and SQUARE: a TUM line, then the lower triangle of the 6x6 covariance, by rows."""
     cov = lower_triangle(table.values[:, _POSE:])
-    return _with_cov(table, cov, "smfeval", square_convention(table), "", options)
+    return _with_cov(table, cov, options, name="smfeval", convention=square_convention(table))
 
 
 def tum_cov(table: TextTable, options: ReadOptions) -> Rows:
     """A TUM line, then the 36 numbers of the covariance, by rows, as ROS messages have them."""
     cov = table.values[:, _POSE:].reshape(-1, 6, 6)
-    return _with_cov(table, cov, "tum_cov", _ROS, "covariances in the convention of ROS messages", options)
+    told = "covariances in the convention of ROS messages"
+    return _with_cov(table, cov, options, name="tum_cov", convention=_ROS, told=told)
 
 
 def lower_triangle(values: Array) -> Array:
@@ -78,7 +79,7 @@ def square_convention(table: TextTable) -> CovarianceConvention:
 
 
 def sidecar(table: TextTable) -> tuple[Array, Array, CovarianceConvention | None]:
-    """Stamps ``(n,)`` as in the file, covariances ``(n, 6, 6)`` and their convention of a file beside a TUM one.
+    """Stamps ``(n,)``, covariances ``(n, 6, 6)`` and their convention of a file beside a TUM one.
 
     A stamp, then 21 numbers (lower triangle by rows, as smfeval has it) or 36.
     """
@@ -97,10 +98,11 @@ def sidecar(table: TextTable) -> tuple[Array, Array, CovarianceConvention | None
 def _with_cov(
     table: TextTable,
     cov: Array,
+    options: ReadOptions,
+    *,
     name: str,
     convention: CovarianceConvention,
-    told: str,
-    options: ReadOptions,
+    told: str = "",
 ) -> Rows:
     bare = replace(table, values=table.values[:, :_POSE], names=table.names[:_POSE])
     rows = _poses(bare, bare.values, bare.names, name, options, default="xyzw")
@@ -137,7 +139,9 @@ def _columns(
     usual = {"x": 1, "y": 2, "z": 3} | {f"q{letter}": 4 + k for k, letter in enumerate(order)}
     found: dict[str, int] = {}
     for column, text in enumerate(names):
-        if match := re.fullmatch(r"(?:.*[._])?(?:q|quat|quaternion|orientation)(?:_\w+?)?[._]?([wxyz])", text):
+        if match := re.fullmatch(
+            r"(?:.*[._])?(?:q|quat|quaternion|orientation)(?:_\w+?)?[._]?([wxyz])", text
+        ):
             found[f"q{match[1]}"] = column
     if options.quaternion != "auto" or sorted(found) != ["qw", "qx", "qy", "qz"]:
         return usual, ()

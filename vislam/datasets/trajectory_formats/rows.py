@@ -86,7 +86,7 @@ class Rows:
         return replace(
             self,
             counts={**self.counts, what: self.counts.get(what, 0) + number},
-            first={what: said, **self.first},
+            first={**self.first, what: self.first.get(what, said)},
         )
 
     def fail(self, row: int, expected: str, got: str) -> DataError:

@@ -17,6 +17,7 @@ from vislam.base.types import Array, IntArray
 _LARGEST_BYTES = 1 << 28
 _LARGEST_NUMBER = 1e20
 """Stamps in nanoseconds have 19 digits; beyond this, products overflow sooner or later."""
+_FEWEST = 2
 _MOST_COLUMNS = 256
 _LONGEST_LINE = 1 << 15
 """Characters; a file without line ends is no table."""
@@ -81,7 +82,7 @@ def read_text_table(path: Path, *, wanted: str = "finite numbers") -> TextTable:
 
     A byte order mark and UTF-16 are understood, commas, semicolons, tabs and blanks separate, lines that
     begin with ``#``, ``%`` or ``//`` and a line of words before the first numbers are headers. What is no
-    number but a word for none (``nan``, ``null``) is NaN. A last line that is cut off, without an end, is left out and counted.
+    number but a word for none (``nan``, ``null``) is NaN. A last line that is cut off is dropped and counted.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def read_text_table(path: Path, *, wanted: str = "finite numbers") -> TextTable:
         If the file cannot be read, is no text, or a line is no row like the others.
     """
     text, told = _decoded(path, wanted)
-    return _table(path, text, told, wanted)
+    return _plain(path, text, told) or _table(path, text, told, wanted)
 
 
 def _decoded(path: Path, wanted: str) -> tuple[str, list[str]]:
@@ -129,13 +130,35 @@ def _strict(path: Path, content: bytes, encoding: str) -> str:
         raise DataError(f"{path}: must be {encoding} as it begins, got {error.reason}") from None
 
 
+def _plain(path: Path, text: str, told: list[str]) -> TextTable | None:
+    """Table of a text in which nothing is out of the ordinary, quickly; None where something is."""
+    lines = [line.strip() for line in text.splitlines()]
+    place = [number for number, line in enumerate(lines, 1) if line and not line.startswith(_COMMENTS)]
+    rows = [lines[number - 1] for number in place]
+    if len(rows) < _FEWEST or ";" in rows[0] or not text.endswith(("\n", "\r")):
+        return None
+    commas = "," in rows[0]
+    try:
+        values = np.loadtxt(rows, delimiter="," if commas else None, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    if len(values) != len(rows) or not (np.abs(values) <= _LARGEST_NUMBER).all():
+        return None
+    comments = tuple(line.lstrip("#%/ ") for line in lines if line.startswith(_COMMENTS))
+    names, unit = _names(list(comments), values.shape[1])
+    return TextTable(path, values, np.array(place, np.int64), names, unit, comments, commas, tuple(told))
+
+
 def _table(path: Path, text: str, told: list[str], wanted: str) -> TextTable:
     rows: list[list[float]] = []
     places: list[int] = []
     headers: list[str] = []
     comments: list[str] = []
     commas = False
-    for number, raw in enumerate(text.splitlines(), 1):
+    first: dict[str, str] = {}
+    every = text.splitlines()
+    whole = text.endswith(("\n", "\r"))
+    for number, raw in enumerate(every, 1):
         line = raw.strip().strip("\ufeff")
         if not line:
             continue
@@ -150,11 +173,15 @@ def _table(path: Path, text: str, told: list[str], wanted: str) -> TextTable:
             places.append(number)
         elif rows or len(headers) > len(comments) or not _is_header(line):
             wrong = next((part for part in _parts(line) if _number(part) is None), line)
-            raise DataError(f"{path}:{number}: must hold {wanted}, got {quoted(wrong[:20])}")
+            message = f"{path}:{number}: must hold {wanted}, got {quoted(wrong[:20])}"
+            if whole or not rows or number < len(every):
+                raise DataError(message)
+            first["rows_cut_off"] = message
         else:
             headers.append(line)
             told.append(f"header line {quoted(line[:60])}")
-    values, first = _rectangular(path, rows, places, whole=text.endswith(("\n", "\r")))
+    values, short = _rectangular(path, rows, places, whole=whole or bool(first))
+    first |= short
     names, unit = _names(headers, values.shape[1])
     return TextTable(
         path,
