@@ -205,6 +205,11 @@ def test_every_number_is_finite(value):
         tree = deepcopy(FRAME) if kind is Config else {}
         if path[:2] == ("data", "packaged"):
             tree["data"] = {"packaged": {"name": "kitti00"}}
+        if path[:2] == ("data", "source"):
+            made = path[2] in ("gyro_sigma", "velocity_sigma")
+            poses = {"recorded": {"file": "a", "format": "tum"}, "path": "recorded"}
+            source = {"format": "kitti00"} if made else {"format": "simulation", **poses}
+            tree["data"] = {"source": source}
         section = tree
         for part in path[:-1]:
             if not isinstance(section.get(part), dict):

@@ -376,7 +376,7 @@ def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
     Parameters
     ----------
     data : Sequence, Config, str or Path
-        A sequence as its file has it, a course file (``.npz``), or a config.
+        A sequence as its file has it, a recording (``.npz``, ``.npy``, ``.mat``), or a config.
 
     Examples
     --------
@@ -390,7 +390,7 @@ def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import bare_tree, unrepaired  # noqa: PLC0415
 
-    if not isinstance(data, Sequence | Config) and str(data).endswith(".npz"):
+    if not isinstance(data, Sequence | Config) and Path(data).suffix in (".npz", ".npy", ".mat"):
         data = open_sequence(data)
     if isinstance(data, Sequence):
         return inspect_sequence(data, parse(Config, bare_tree("inspection", f"{data.name}.npz")))

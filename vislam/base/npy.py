@@ -79,6 +79,16 @@ def open_array(
     if information.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ArrayError("stored or deflated, as numpy does it", f"method {information.compress_type}")
     stream = archive.open(name)
+    try:
+        return _opened(stream, information, stored=stored, what=what)
+    except BaseException:
+        stream.close()
+        raise
+
+
+def _opened(
+    stream: IO[bytes], information: zipfile.ZipInfo, *, stored: re.Pattern[str], what: str
+) -> PackedArray:
     descr, fortran, shape = _read_header(stream)
     if not stored.fullmatch(descr):
         raise ArrayError(f"a plain array of {what} (pickled objects are refused)", repr(descr[:40]))

@@ -6,7 +6,7 @@ What can be set stands beside what it sets; here is what they have in common.
 import logging
 import os
 import re
-from dataclasses import asdict
+from dataclasses import MISSING, asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -28,6 +28,8 @@ _WHOLE = ("estimators", "ablation_chain")
 """Sections in which the order matters: a config that extends another replaces them."""
 RENAMED = {"frozen_by": "common_set_from", "ladder": "ablation_chain"}
 """Former names of sections, which this version still takes and notes; the next one does not."""
+OTHER = "other"
+"""Tag of the section, of several, that has no fixed ``format``."""
 _MOST_BYTES = 1 << 18
 _MOST_FILES = 16
 """Files that build on each other."""
@@ -106,7 +108,7 @@ def parse(kind: type[Parsed], tree: Any, *, at: str = "") -> Parsed:
         return TypeAdapter(kind).validate_python(tree)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join([*([at] if at else []), *(str(part) for part in first["loc"])])
+        where = ".".join([*([at] if at else []), *_keys(kind, first["loc"])])
         where = one_line(where or "config", limit=200)
         if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
             raise ConfigError(f"{where}: unknown key; {_known(kind, first['loc'])}") from None
@@ -126,22 +128,50 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
+def _keys(kind: Any, location: tuple[int | str, ...]) -> list[str]:
+    """Keys of a location, without the tags that say which of several sections a key is of."""
+    out: list[str] = []
+    inside: list[Any] = []
+    for part in location:
+        if len(inside) > 1 and part in map(_tag, inside):
+            kind, inside = next(one for one in inside if _tag(one) == part), []
+            continue
+        out.append(str(part))
+        known = getattr(kind, "__dataclass_fields__", {})
+        if part in known:
+            inside = _sections(known[part].type)
+            kind = inside[0] if inside else kind
+    return out
+
+
 def _known(kind: Any, location: tuple[int | str, ...]) -> str:
     """List the keys that the section of an unknown key has."""
+    inside = [kind]
     for part in location[:-1]:
         if isinstance(part, int):
             # An item of a list, whose section the list has already named.
             continue
-        inside = _section(kind.__dataclass_fields__[part].type)
-        kind = kind if inside is None else inside
+        known = kind.__dataclass_fields__
+        if part in known:
+            inside = _sections(known[part].type)
+            kind = inside[0] if inside else kind
+        else:
+            # The tag that says which of several sections it is.
+            kind = next((one for one in inside if _tag(one) == part), kind)
     return "known are " + ", ".join(sorted(kind.__dataclass_fields__))
 
 
-def _section(annotation: Any) -> Any:
-    """Find the config section that an annotation holds, or None."""
+def _sections(annotation: Any) -> list[Any]:
+    """Config sections that an annotation holds, in order."""
     if hasattr(annotation, "__dataclass_fields__"):
-        return annotation
-    return next((found for part in get_args(annotation) if (found := _section(part)) is not None), None)
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _sections(part)]
+
+
+def _tag(section: Any) -> Any:
+    """Value by which one section of several is chosen, as a rule its ``format``."""
+    item = section.__dataclass_fields__.get("format")
+    return None if item is None else OTHER if item.default is MISSING else item.default
 
 
 def inline(value: Any) -> str:

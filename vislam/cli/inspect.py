@@ -22,7 +22,7 @@ def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.inspect", description=__doc__)
     add_config_options(parser, required=False)
     add = parser.add_argument
-    add("--file", type=Path, help="a course file (.npz) in place of a config")
+    add("--file", type=Path, help="a recording in place of a config; its format is told by its content")
     add("--out", type=Path, default=Path("inspection"), help="folder of the results (default: inspection)")
     add("--write-config", type=Path, metavar="FILE", help="write the config with all that is proposed")
     add("--strict", action="store_true", help="exit with 3 if a fault was found")

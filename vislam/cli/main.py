@@ -15,6 +15,7 @@ COMMANDS = {
     "calibrate": "find noise, biases and clock from the data alone",
     "study": "repeat a comparison over seeds and values, on many processes",
     "simulate": "write a simulated recording",
+    "export-tracks": "write the tracks of any source in the open track format",
     "fetch": "download the public recordings",
     "configs": "list the shipped configs, or print one",
     "table": "print the results table of a metrics.json in Markdown",
@@ -25,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given and given[0] in COMMANDS:
-        return int(import_module(f"vislam.cli.{given[0]}").main(given[1:]))
+        return int(import_module(f"vislam.cli.{given[0].replace('-', '_')}").main(given[1:]))
     with lasting_streams():
         if given == ["--version"]:
             print(f"vislam {version('vislam')}")

@@ -5,13 +5,14 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT, NonNegative, Positive, Seed
-from vislam.base.settings import Remark, Title, dump, inline, parse, put, read
+from vislam.base.settings import OTHER, Remark, Title, dump, inline, parse, put, read
 from vislam.checks.settings import Check
-from vislam.datasets.settings import ReferenceConfig
+from vislam.datasets.registry import OWN, formats
+from vislam.datasets.settings import ClementMat, CourseNpy, CourseNpz, Kitti00, ReferenceConfig, TracksNpz
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 
@@ -23,9 +24,12 @@ __all__ = [
     "InertialConfig",
     "KernelConfig",
     "NoiseConfig",
+    "OtherSource",
     "PackagedConfig",
     "RedrawConfig",
+    "SimulationSource",
     "Six",
+    "Source",
     "dump",
     "inline",
     "load",
@@ -76,37 +80,101 @@ class RedrawConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SimulationSource(SimulationConfig):
+    """A simulated drive."""
+
+    format: Literal["simulation"] = "simulation"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class OtherSource:
+    """A source whose reader another package brings, by an entry point in the group ``vislam.datasets``."""
+
+    format: str
+    options: dict[str, Any] = field(default_factory=dict)
+    """Options of that reader."""
+
+
+def _kind_of_source(value: Any) -> str | None:
+    """Tag of the union's member that a source is; None if nobody reads its format."""
+    name = value.get("format") if isinstance(value, Mapping) else getattr(value, "format", None)
+    if name in OWN:
+        return str(name)
+    return OTHER if name in formats() else None
+
+
+Source = Annotated[
+    Annotated[CourseNpz, Tag("course_npz")]
+    | Annotated[CourseNpy, Tag("course_npy")]
+    | Annotated[ClementMat, Tag("clement_mat")]
+    | Annotated[TracksNpz, Tag("tracks_npz")]
+    | Annotated[Kitti00, Tag("kitti00")]
+    | Annotated[SimulationSource, Tag("simulation")]
+    | Annotated[OtherSource, Tag(OTHER)],
+    Discriminator(
+        _kind_of_source,
+        custom_error_type="source_format",
+        custom_error_message="expected a section with a format that there is a reader for: "
+        f"{', '.join(OWN)}, or one that an installed package brings",
+    ),
+]
+"""Where a recording comes from, by its format."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Source of the data, and how it is read and repaired."""
 
+    source: Source | None = None
+    """Format of the data and where it is: course_npz, course_npy, clement_mat, tracks_npz, kitti00,
+    simulation, or one that another package reads."""
     file: str | None = None
-    """Recorded course file (.npz); null for a simulation or packaged data."""
+    """The same for a recording that is one file, whose format is told by its content."""
     packaged: PackagedConfig | None = None
-    """Data from an installed package, with its own reference, in place of all other sources."""
+    """The same for ``kitti00``, in the form of earlier versions."""
     simulation: SimulationConfig | None = None
-    """The simulated sequence: the data where ``file`` is null, the substitute where it is missing."""
+    """The simulated sequence: the data where there is no other source, the synthetic substitute where the file
+    of the source is missing."""
     inertial: InertialConfig | None = None
-    """What replaces the inertial samples of ``file``, or null."""
+    """What replaces the inertial samples of the source, or null."""
     redraw_inertial: RedrawConfig | None = None
-    """Noise with which the motion of ``reference`` replaces the inertial data of ``file`` for each seed, or
+    """Noise with which the motion of the reference replaces the inertial data of the source for each seed, or
     null; the results are then partly synthetic."""
     repair: RepairConfig = RepairConfig()
     """The repairs, each by its name; they hold for a recording and for its synthetic substitute."""
     reference: ReferenceConfig | None = None
-    """Reference trajectory of the recording, or null."""
+    """Reference trajectory of the recording; null: what comes with the source."""
 
     def __post_init__(self) -> None:
         """Refuse a section without any data, and keys that would go unheard."""
-        if self.packaged is not None:
-            if any((self.file, self.simulation, self.inertial, self.redraw_inertial, self.reference)):
-                raise ValueError("packaged stands in place of all other sources of data: give it alone")
-            return
-        if self.file is None and self.simulation is None:
-            raise ValueError("one of file, simulation and packaged must be given")
-        if self.inertial is not None and self.file is None:
-            raise ValueError("inertial replaces the samples of a recording: file must be given")
-        if self.redraw_inertial is not None and (self.file is None or self.reference is None):
+        given = [name for name in ("source", "file", "packaged") if getattr(self, name) is not None]
+        beside = (self.source, self.file, self.simulation, self.inertial, self.redraw_inertial, self.reference)
+        if self.packaged is not None and any(item is not None for item in beside):
+            raise ValueError("packaged stands in place of all other sources of data: give it alone")
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)} each name the data: give one of them")
+        if isinstance(self.source, SimulationSource) and self.simulation is not None:
+            raise ValueError("source is a simulation already: give it or simulation alone")
+        if not given and self.simulation is None:
+            raise ValueError("one of source, file, simulation and packaged must be given")
+        recorded = bool(given) and not isinstance(self.source, SimulationSource)
+        if self.inertial is not None and not recorded:
+            raise ValueError("inertial replaces the samples of a recording: source or file must be given")
+        referenced = self.reference is not None or (self.source is not None and recorded)
+        if self.redraw_inertial is not None and not (recorded and referenced):
             raise ValueError("redraw_inertial needs a recording and its reference: give file and reference")
+
+    @property
+    def recorded_file(self) -> str | None:
+        """Name of the file that holds the recording, if it is one."""
+        return self.file if self.source is None else getattr(self.source, "file", None)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no recorded data is asked for."""
+        if isinstance(self.source, SimulationSource):
+            return True
+        return self.source is None and self.file is None and self.packaged is None
 
 
 LIST_MAKER = "ekf_invariant"

@@ -8,16 +8,24 @@ import numpy as np
 
 from vislam import repair
 from vislam.base.errors import DataError
-from vislam.comparison.config import DataConfig, HeldOutConfig, InertialConfig, PackagedConfig
+from vislam.comparison.config import (
+    DataConfig,
+    HeldOutConfig,
+    InertialConfig,
+    OtherSource,
+    PackagedConfig,
+    SimulationSource,
+)
 from vislam.comparison.plausibility import Implausible, implausible
 from vislam.comparison.redraw import redraw, redrawn_note
-from vislam.comparison.simulated import simulated_drive
-from vislam.core.reference import Reference, truth_reference
+from vislam.comparison.simulated import simulated
+from vislam.core.reference import Reference
 from vislam.core.sequence import Repair, Sequence
-from vislam.datasets.course_npz import load_course_npz
 from vislam.datasets.find import find_file, find_path, not_found, search_path
-from vislam.datasets.kitti00 import load_kitti00
 from vislam.datasets.oxts import with_oxts
+from vislam.datasets.recording import Opening, Recording
+from vislam.datasets.registry import read, source_of
+from vislam.datasets.settings import Kitti00
 from vislam.datasets.trajectories import load_reference
 from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
 
@@ -93,35 +101,71 @@ def open_dataset(
     DataError
         If the recording, or the path of a simulation, is missing and may not be replaced, or cannot be used.
     """
-    if config.packaged is not None:
-        return _packaged(config, config.packaged, seed, held_out)
-    folders = search_path(data_dir, config_dir=config_dir)
-    path = None if config.file is None else find_file(config.file, folders)
-    if path is not None:
-        return _redrawn(_recorded(config, path, folders, held_out), config, seed)
-    if config.file is not None and (not allow_stand_in or config.simulation is None):
-        raise DataError(not_found(config.file, folders))
-    return _simulated(config, seed, folders, held_out)
+    opening = Opening(search_path(data_dir, config_dir=config_dir), seed)
+    raw = open_recording(config, opening, allow_stand_in=allow_stand_in)
+    wrong = () if raw.sequence.stand_in else _implausible(raw.sequence, config)
+    sequence, kept_back = _parted(raw.sequence, config, held_out)
+    dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back)
+    return dataset if raw.sequence.stand_in else _redrawn(dataset, config, seed)
 
 
-def _recorded(config: DataConfig, path: Path, folders: list[Path], held_out: HeldOutConfig | None) -> Dataset:
-    sequence = load_course_npz(path)
+def open_recording(config: DataConfig, opening: Opening, *, allow_stand_in: bool = True) -> Recording:
+    """Read or simulate, with inertial samples and reference from elsewhere if the config says so.
+
+    Raises
+    ------
+    DataError
+        As :func:`open_dataset`.
+    """
+    name = config.recorded_file
+    if config.simulated or (name is not None and _to_substitute(config, name, opening, allow_stand_in)):
+        return _simulated(config, opening)
+    raw, folders = _read(config, opening)
     if config.inertial is not None:
-        sequence = _with_inertial(sequence, config.inertial, [path.parent, *folders])
-    wrong = _implausible(sequence, config)
-    sequence, kept_back = _parted(sequence, config, held_out)
+        raw = replace(raw, sequence=_with_inertial(raw.sequence, config.inertial, folders))
     if config.reference is None:
+        if raw.reference is not None:
+            return raw
         note = "no reference: errors cannot be measured"
-        return Dataset(sequence, None, (note,), wrong, kept_back)
-    found = find_file(config.reference.file, [path.parent, *folders])
+        return replace(raw, notes=(*raw.notes, note))
+    found = find_file(config.reference.file, folders)
     if found is None:
         note = f"reference {config.reference.file} not found: runs are compared with each other only"
         _log.warning(note)
-        return Dataset(sequence, None, (note,), wrong, kept_back)
+        return replace(raw, reference=None, points_world=None, notes=(*raw.notes, note))
+    sequence = raw.sequence
     reference = load_reference(
         found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
     )
-    return Dataset(sequence, reference, (), wrong, kept_back)
+    return replace(raw, reference=reference, points_world=None)
+
+
+def _to_substitute(config: DataConfig, name: str, opening: Opening, allowed: bool) -> bool:
+    """Whether the simulation stands in for a file that is missing; DataError if it may not."""
+    if find_file(name, opening.folders) is not None:
+        return False
+    if not allowed or config.simulation is None:
+        raise DataError(not_found(name, opening.folders))
+    return True
+
+
+def _read(config: DataConfig, opening: Opening) -> tuple[Recording, list[Path]]:
+    """Recording of a source, and the folders in which what belongs to it is looked for."""
+    folders, name = opening.folders, config.recorded_file
+    if name is not None and (path := find_file(name, folders)) is not None:
+        folders = [path.parent, *folders]
+    match config:
+        case DataConfig(packaged=PackagedConfig() as packaged):
+            source = Kitti00(gyro_sigma=packaged.gyro_sigma, velocity_sigma=packaged.velocity_sigma)
+            return read(source.format, source, opening), folders
+        case DataConfig(source=OtherSource() as other):
+            return read(other.format, other.options, opening), folders
+        case DataConfig(source=None):
+            assert name is not None
+            known = source_of(opening.find(name))
+            return read(known.format, known, opening), folders
+    assert config.source is not None
+    return read(config.source.format, config.source, opening), folders
 
 
 def _redrawn(dataset: Dataset, config: DataConfig, seed: int) -> Dataset:
@@ -129,9 +173,9 @@ def _redrawn(dataset: Dataset, config: DataConfig, seed: int) -> Dataset:
     if config.redraw_inertial is None:
         return dataset
     if dataset.reference is None:
-        assert config.reference is not None
+        named = dataset.sequence.name if config.reference is None else config.reference.file
         raise DataError(
-            f"{config.reference.file}: not found, but data.redraw_inertial takes the motion from it; put it "
+            f"{named}: no reference found, but data.redraw_inertial takes the motion from it; put it "
             "beside the recording, or leave redraw_inertial out"
         )
     drawn = [
@@ -169,33 +213,26 @@ def _existing(name: str, folders: list[Path]) -> Path:
     return found
 
 
-def _packaged(
-    config: DataConfig, packaged: PackagedConfig, seed: int, held_out: HeldOutConfig | None
-) -> Dataset:
-    raw, reference = load_kitti00(
-        gyro_sigma=packaged.gyro_sigma, velocity_sigma=packaged.velocity_sigma, seed=seed
-    )
-    note = (
-        "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they have no inertial data, so the "
-        f"twist is that of their visual odometry with noise added, {packaged.gyro_sigma:g} rad/s and "
-        f"{packaged.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
-    )
-    sequence, kept_back = _parted(raw, config, held_out)
-    return Dataset(sequence, reference, (note,), held_out=kept_back)
+def _simulated(config: DataConfig, opening: Opening) -> Recording:
+    wanted = config.recorded_file
+    settings = config.simulation
+    if isinstance(config.source, SimulationSource):
+        settings = config.source
+    assert settings is not None
+    raw = simulated(settings, opening, name="simulation" if wanted is None else f"synthetic substitute for {wanted}")
+    _log.warning(raw.notes[0])
+    return raw
 
 
-def _simulated(config: DataConfig, seed: int, folders: list[Path], held_out: HeldOutConfig | None) -> Dataset:
-    assert config.simulation is not None
-    wanted = config.file
-    name = "simulation" if wanted is None else f"synthetic substitute for {wanted}"
-    raw, truth = simulated_drive(config.simulation, seed=seed, name=name, folders=folders)
-    sequence, kept_back = _parted(raw, config, held_out)
-    track, first = np.unique(sequence.track, return_index=True)
-    points = truth.points_world[sequence.row[first]]
-    notes = (f"SIMULATED: {name}, no recorded data was used",)
-    _log.warning(notes[0])
-    reference = truth_reference(truth.world_T_imu, track, points, bias=truth.bias)
-    return Dataset(sequence, reference, notes, held_out=kept_back)
+def _with_landmarks(raw: Recording, repaired: Sequence) -> Reference | None:
+    """Reference with the landmark of each track that the repairs have left, where it is known."""
+    reference = raw.reference
+    if reference is None or raw.points_world is None:
+        return reference
+    track, first = np.unique(repaired.track, return_index=True)
+    points = raw.points_world[repaired.row[first]]
+    known = np.isfinite(points).all(axis=1)
+    return replace(reference, track=track[known], points_world=points[known])
 
 
 def _parted(

@@ -2,9 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from vislam.base.errors import ConfigError, DataError
+from vislam.comparison.config import SimulationSource
+from vislam.core.reference import truth_reference
 from vislam.core.sequence import Sequence
 from vislam.datasets.find import find_file, not_found
+from vislam.datasets.recording import Opening, Recording
 from vislam.datasets.trajectories import UPRIGHT, read_poses
 from vislam.geometry import se3
 from vislam.simulation import SimulationConfig, Truth, simulate
@@ -13,6 +18,32 @@ from vislam.simulation.recorded_path import FEWEST_POSES, RecordedPath
 
 _ROUNDING = 0.01
 """Share of a period by which stamps may fall short of the last frame."""
+
+
+def read(source: SimulationSource, opening: Opening) -> Recording:
+    """Simulate a drive as any other source is read."""
+    return simulated(source, opening, name="simulation")
+
+
+def simulated(config: SimulationConfig, opening: Opening, *, name: str) -> Recording:
+    """Simulated drive with its truth.
+
+    Parameters
+    ----------
+    config : SimulationConfig
+    opening : Opening
+    name : str
+        Of the sequence.
+    """
+    sequence, truth = simulated_drive(config, seed=opening.seed, name=name, folders=opening.folders)
+    nothing = np.empty(0, np.int64), np.empty((0, 3))
+    reference = truth_reference(truth.world_T_imu, *nothing, bias=truth.bias)
+    return Recording(
+        sequence,
+        reference,
+        truth.points_world,
+        (f"SIMULATED: {name}, no recorded data was used",),
+    )
 
 
 def simulated_drive(

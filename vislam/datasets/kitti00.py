@@ -15,6 +15,8 @@ from vislam.base.types import Array
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.datasets.kitti00_batch import batch_poses
+from vislam.datasets.recording import Opening, Recording
+from vislam.datasets.settings import Kitti00
 from vislam.datasets.text import read_table
 from vislam.geometry import se3
 from vislam.models import CAMERA_AXES, StereoRig
@@ -22,6 +24,19 @@ from vislam.models import CAMERA_AXES, StereoRig
 _PERIOD = 0.1037
 """Mean camera period of KITTI odometry 00 [s]; the files number the frames and have no stamps."""
 _NAME = "KITTI 00 tracks with made odometry"
+
+
+def read(source: Kitti00, opening: Opening) -> Recording:
+    """Read the tracks, and make the odometry with the noise that is asked for."""
+    sequence, reference = load_kitti00(
+        gyro_sigma=source.gyro_sigma, velocity_sigma=source.velocity_sigma, seed=opening.seed
+    )
+    note = (
+        "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they have no inertial data, so the "
+        f"twist is that of their visual odometry with noise added, {source.gyro_sigma:g} rad/s and "
+        f"{source.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
+    )
+    return Recording(sequence, reference, notes=(note,))
 
 
 def load_kitti00(*, gyro_sigma: float, velocity_sigma: float, seed: int) -> tuple[Sequence, Reference]:

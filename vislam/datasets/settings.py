@@ -1,4 +1,4 @@
-"""What can be set of a reference, and of a trajectory from elsewhere."""
+"""What can be set of a recording's source, of a reference, and of a trajectory from elsewhere."""
 
 from typing import Annotated, Any, Literal
 
@@ -26,6 +26,57 @@ Format = Literal[
 ]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Seven = tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class CourseNpz:
+    """A recording of the course, in the form that it had up to 2024."""
+
+    format: Literal["course_npz"] = "course_npz"
+    file: str
+    """The ``.npz`` file, searched for where all data is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class CourseNpy:
+    """A recording of the course, in the form that it has had since 2025."""
+
+    format: Literal["course_npy"] = "course_npy"
+    file: str
+    """The ``.npy`` file, searched for where all data is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ClementMat:
+    """A set of Clement et al. (2015), with its reference poses and, where there are some, landmarks."""
+
+    format: Literal["clement_mat"] = "clement_mat"
+    file: str
+    """The ``.mat`` file, searched for where all data is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class TracksNpz:
+    """Tracks of any front end in the open track format (``docs/reference/track_format.md``)."""
+
+    format: Literal["tracks_npz"] = "tracks_npz"
+    file: str
+    """The ``.npz`` file, searched for where all data is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Kitti00:
+    """The beginning of KITTI odometry 00, real tracks from GTSAM's examples; odometry is made for them."""
+
+    format: Literal["kitti00"] = "kitti00"
+    gyro_sigma: NonNegative = 0.05
+    """White noise of the made angular velocity, one value a frame [rad/s]."""
+    velocity_sigma: NonNegative = 0.5
+    """White noise of the made velocity, one value a frame [m/s]."""
+
+
+RecordedFile = CourseNpz | CourseNpy | ClementMat | TracksNpz
+"""Sources that are one file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -13,6 +13,7 @@ from vislam.inspection.finding import Inspection
 
 _FILES = (
     ("data", "file"),
+    ("data", "source", "file"),
     ("data", "reference", "file"),
     ("data", "inertial", "folder"),
     ("data", "inertial", "camera_timestamps"),

@@ -12,6 +12,8 @@ from vislam.comparison.config import Config, parse
 from vislam.comparison.identity import code_digest, combine
 from vislam.comparison.members import members
 from vislam.comparison.open import open_dataset
+from vislam.datasets.find import find_file, search_path
+from vislam.datasets.settings import Kitti00
 from vislam.study.ablation import Ablation
 from vislam.study.points import Point, Trial, all_points, all_trials
 from vislam.study.settings import StudyConfig
@@ -72,7 +74,7 @@ class Plan:
     @property
     def simulated(self) -> bool:
         """Whether no recorded data is used."""
-        return self.config.data.file is None and self.config.data.packaged is None
+        return self.config.data.simulated
 
     @property
     def id(self) -> str:
@@ -102,29 +104,32 @@ class Plan:
 
 def _settle_data(config: Config, *, seeds: int) -> tuple[Config, str, str]:
     """Config whose data every trial finds, the hash of its recording if it has one, and what it is."""
-    file, packaged = config.data.file, config.data.packaged
-    if packaged is not None:
-        told = f"MADE ODOMETRY: real stereo tracks of {packaged.name}, odometry of each trial's seed"
+    data, file = config.data, config.data.recorded_file
+    if data.packaged is not None or isinstance(data.source, Kitti00):
+        told = "MADE ODOMETRY: real stereo tracks of kitti00, odometry of each trial's seed"
         return config, "", told
-    if file is None:
+    if data.simulated:
         return config, "", "SIMULATED: every trial is a simulated drive"
-    dataset = open_dataset(config.data, seed=config.seed)
-    if dataset.sequence.stand_in:
+    dataset = open_dataset(data, seed=config.seed)
+    if file is not None and find_file(file, search_path(None)) is None:
         # Each worker would decide for itself what it stands in for.
-        made = replace(config.data, file=None, inertial=None, reference=None)
+        made = replace(data, source=None, file=None, inertial=None, reference=None)
         return replace(config, data=made), "", dataset.notes[0]
-    if config.data.redraw_inertial is not None:
+    if data.redraw_inertial is not None:
         return config, "", dataset.notes[0]
+    named = file or getattr(data.source, "format", "")
     if seeds > 1:
         raise ConfigError(
-            f"study.seeds: {file} is the same with every seed; set it to 1, or data.file to null, got {seeds}"
+            f"study.seeds: {named} is the same with every seed; set it to 1, or data.file to null, "
+            f"got {seeds}"
         )
     reference = dataset.reference
     known = "no reference" if reference is None else f"reference {reference.name}: {reference.limits}"
-    return config, dataset.sequence.digest, f"RECORDED: every trial is of {file}; {known}"
+    return config, dataset.sequence.digest, f"RECORDED: every trial is of {named}; {known}"
 
 
 def _frames(point: Point) -> int:
-    """Length of a point's sequence; 0 for packaged data, of which all points have the same."""
-    simulation = point.tree["data"]["simulation"]
-    return 0 if simulation is None else int(simulation["frames"])
+    """Length of a point's simulated drive; 0 for recorded data, of which all points have the same."""
+    data = point.tree["data"]
+    settings = data["simulation"] or data.get("source") or {}
+    return int(settings.get("frames", 0))
