@@ -328,6 +328,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
         lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,
+        kept=config.data.landmarks.most,
     )
 
 

@@ -103,6 +103,9 @@ def _kind_of_source(value: Any) -> str | None:
     return OTHER if name in formats() else None
 
 
+_ALL = 1_000_000
+"""Landmarks that are remembered where all are."""
+
 Source = Annotated[
     Annotated[CourseNpz, Tag("course_npz")]
     | Annotated[CourseNpy, Tag("course_npy")]
@@ -122,6 +125,23 @@ Source = Annotated[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LandmarksConfig:
+    """What becomes of landmarks that are out of view."""
+
+    kept: Annotated[str, Field(pattern=r"^(while_tracked|always|most [1-9][0-9]{0,5})$")] = "while_tracked"
+    """``while_tracked``: a track that was interrupted is a new landmark. ``always``: a track id that comes
+    back is the landmark that it was; filters keep all landmarks in the state, and a step takes time with the
+    square of their number. ``most 100``: the same for the 100 that were seen last."""
+
+    @property
+    def most(self) -> int:
+        """How many that are out of view are remembered."""
+        if self.kept == "while_tracked":
+            return 0
+        return _ALL if self.kept == "always" else int(self.kept.removeprefix("most "))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Source of the data, and how it is read and repaired."""
 
@@ -133,8 +153,8 @@ class DataConfig:
     packaged: PackagedConfig | None = None
     """The same for ``kitti00``, in the form of earlier versions."""
     simulation: SimulationConfig | None = None
-    """The simulated sequence: the data where there is no other source, the synthetic substitute where the file
-    of the source is missing."""
+    """The simulated sequence: the data where there is no other source, the synthetic substitute where the
+    file of the source is missing."""
     inertial: InertialConfig | None = None
     """What replaces the inertial samples of the source, or null."""
     redraw_inertial: RedrawConfig | None = None
@@ -142,13 +162,22 @@ class DataConfig:
     null; the results are then partly synthetic."""
     repair: RepairConfig = RepairConfig()
     """The repairs, each by its name; they hold for a recording and for its synthetic substitute."""
+    landmarks: LandmarksConfig = LandmarksConfig()
+    """Landmarks seen again: whether a track id that comes back is the landmark that it was."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording; null: what comes with the source."""
 
     def __post_init__(self) -> None:
         """Refuse a section without any data, and keys that would go unheard."""
         given = [name for name in ("source", "file", "packaged") if getattr(self, name) is not None]
-        beside = (self.source, self.file, self.simulation, self.inertial, self.redraw_inertial, self.reference)
+        beside = (
+            self.source,
+            self.file,
+            self.simulation,
+            self.inertial,
+            self.redraw_inertial,
+            self.reference,
+        )
         if self.packaged is not None and any(item is not None for item in beside):
             raise ValueError("packaged stands in place of all other sources of data: give it alone")
         if len(given) > 1:
@@ -163,6 +192,14 @@ class DataConfig:
         referenced = self.reference is not None or (self.source is not None and recorded)
         if self.redraw_inertial is not None and not (recorded and referenced):
             raise ValueError("redraw_inertial needs a recording and its reference: give file and reference")
+
+    @property
+    def repairs(self) -> RepairConfig:
+        """The repairs as they are applied, interruptions by what becomes of landmarks out of view."""
+        step = self.repair.interruptions
+        if step is None or not self.landmarks.most:
+            return self.repair
+        return replace(self.repair, interruptions=replace(step, kept=self.landmarks.most))
 
     @property
     def recorded_file(self) -> str | None:

@@ -258,7 +258,7 @@ def _parted(
 
 
 def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
-    sequence = repair.apply(sequence, config.repair)
+    sequence = repair.apply(sequence, config.repairs)
     counts = {
         **sequence.counts,
         "landmarks": len(np.unique(sequence.track)),

@@ -77,6 +77,9 @@ class Problem:
         Gaussian.
     lags : Lags or None
         How much later poses are asked for again (``Final.lagged``); None: they are not.
+    kept : int
+        Landmarks out of view that are remembered, those seen last: a track id that comes back is one of them.
+        0: none comes back.
     """
 
     rig: StereoRig
@@ -92,6 +95,7 @@ class Problem:
     direction_sigma: float = 0.0
     kernel: Kernel | None = None
     lags: Lags | None = None
+    kept: int = 0
 
 
 class Estimator(Protocol):

@@ -12,7 +12,7 @@ class StereoFrame:
     Attributes
     ----------
     track : (n,)
-        Track ids in view. An id that is missing once never comes back.
+        Track ids in view. An id that is missing comes back only if landmarks are kept (``Problem.kept``).
     z : (n, 3)
         Stereo measurements (uL, uR, v) [px].
     sigma : (n, 3)

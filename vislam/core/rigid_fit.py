@@ -26,7 +26,6 @@ _MEDIAN_CHI3 = 1.538
 """Median of a chi distribution with three degrees of freedom."""
 _TUNING = 2.0
 _ITERATIONS = 12
-_NEAREST = 0.5
 _RIDGE, _RELATIVE_RIDGE = 1e-6, 1e-14
 _SMALLEST_SCALE = 0.2
 
@@ -138,7 +137,7 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
     """
     motion = guess
     for _ in range(_ITERATIONS):
-        moved = _in_front(se3.transform(motion, points))
+        moved = _in_front(se3.transform(motion, points), rig.nearest)
         residual = (z - rig.project(moved)) @ MIXING.T / spread
         jacobian = rig.projection_jacobian(moved)
         jacobian = np.concatenate([-jacobian @ so3.hat(moved), jacobian], axis=2)
@@ -154,7 +153,7 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
         motion = se3.exp(step) @ motion
         if np.abs(step).max() < 1e-6:
             break
-    moved = _in_front(se3.transform(motion, points))
+    moved = _in_front(se3.transform(motion, points), rig.nearest)
     residual = (z - rig.project(moved)) @ MIXING.T / spread
     scale = robust_scale(np.einsum("ni,ni->n", residual, residual))
     cov = np.asarray(scale**2 * np.linalg.inv(information))
@@ -176,6 +175,6 @@ def robust_scale(square: Array) -> float:
     return max(float(np.sqrt(np.median(square))) / _MEDIAN_CHI3, _SMALLEST_SCALE)
 
 
-def _in_front(points_cam: Array) -> Array:
+def _in_front(points_cam: Array, nearest: float) -> Array:
     """Points with their depth held off zero, so that a bad guess projects somewhere."""
-    return np.column_stack([points_cam[:, :2], np.maximum(points_cam[:, 2], _NEAREST)])
+    return np.column_stack([points_cam[:, :2], np.maximum(points_cam[:, 2], nearest)])

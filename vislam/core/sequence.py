@@ -168,9 +168,17 @@ class Sequence:
         return found
 
     def age(self) -> IntArray:
-        """Frames since the first observation of each observation's track, ``(n,)``."""
+        """Frames for which the track of each observation was followed, ``(n,)``; while it is away, none."""
         frame = self.frame_of
-        return frame - frame[self.first_rows()]
+        order = np.lexsort((frame, self.track))
+        fresh = np.diff(self.track[order], prepend=-1) != 0
+        step = np.diff(frame[order], prepend=0)
+        # A track that comes back goes on where it was; within a life of its own each frame counts.
+        total = np.cumsum(np.where(fresh | (step > 1), np.where(fresh, 0, 1), step))
+        age = np.empty_like(total)
+        start = np.maximum.accumulate(np.where(fresh, np.arange(len(total)), 0))
+        age[order] = total - total[start]
+        return age
 
     def seen_again(self, among: BoolArray | None = None) -> BoolArray:
         """Mask ``(n,)`` of the observations whose track has more than one, among those of a mask ``(n,)``."""

@@ -14,6 +14,8 @@ from vislam.repair import RepairConfig
 _AXES = "xyz"
 _LAGS_S = np.arange(-0.2, 0.2001, 0.005)
 _BLOCKS = 12
+_PARTS = (slice(0, 3), slice(3, 4))
+"""Rates and speed, each of which tells the clock by itself."""
 _CLOCK_FAULT_S = 0.015
 _CLOCK_UNCLEAR_S = 0.02
 _CLOCK_FLOOR_S = 0.004
@@ -23,6 +25,10 @@ _RELIABLE = 0.3
 _FOURTH_DIFFERENCE = np.sqrt(70.0)
 """Standard deviation of a fourth difference of white noise of variance 1."""
 _FEWEST_CHANGES = 20
+_GAP = 1.5
+"""A step, or a distance of samples, this many times the usual one has a gap."""
+_TAILS = 4.0
+_GATINGS = 20
 _ALONG = 0.3
 """A third velocity component above this share of the speed is not that of a vehicle on the ground."""
 
@@ -68,16 +74,24 @@ def check_clock(
     """
     period = float(np.median(np.diff(sequence.inertial_stamp)))
     noise = np.array([_sample_noise(sequence.twist[:, i]) for i in range(4)])
+    steps = _without_gaps(sequence, steps)
+    if len(steps.frame) < _FEWEST_CHANGES:
+        text = f"only {len(steps.frame)} steps without a gap show the camera's motion"
+        return Finding("clock", "unclear", text, unknown={"data.repair.clock": text}), {}
     cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in _LAGS_S])
-    blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
-    whole = _lowest(cost.mean(axis=1))
-    left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
-    error = float(np.hypot(jackknife(left_out), _CLOCK_FLOOR_S))
+    whole, error = _best_lag(cost.sum(axis=2))
     measured = Measured.around("clock offset", "s", whole, sigma=error)
-    series = {"clock_lag": _LAGS_S, "clock_cost": cost.mean(axis=1)}
+    series = {"clock_lag": _LAGS_S, "clock_cost": cost.sum(axis=2).mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
         text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
+        return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
+    (turns, turns_error), (speed, speed_error) = (_best_lag(cost[:, :, part].sum(axis=2)) for part in _PARTS)
+    if abs(turns - speed) > 4.0 * np.hypot(turns_error, speed_error):
+        text = (
+            f"the rates of turn say {turns:.3f} s, the speed {speed:.3f} s: no clock suits both, and none is "
+            f"proposed; configured is {now:g} s"
+        )
         return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
     off = abs(whole - now)
     if off > _CLOCK_FAULT_S and off > 4.0 * error:
@@ -87,8 +101,32 @@ def check_clock(
     return Finding("clock", "ok", f"{measured}, configured is {now:g} s", (measured,)), series
 
 
+def _best_lag(cost: Array) -> tuple[float, float]:
+    """Lag of the least mean of a cost ``(l, m)`` of each step at each lag, and its standard deviation."""
+    blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
+    left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
+    return _lowest(cost.mean(axis=1)), float(np.hypot(jackknife(left_out), _CLOCK_FLOOR_S))
+
+
+def _without_gaps(sequence: Sequence, steps: VisionSteps) -> VisionSteps:
+    """Steps of the usual length with inertial samples at the usual distance all around them.
+
+    Where samples are missing, a line joins those that are there: what lags there is the line.
+    """
+    at, usual = sequence.inertial_stamp, float(np.median(np.diff(sequence.inertial_stamp)))
+    frame_step = np.diff(sequence.stamp, prepend=-np.inf)[steps.frame]
+    wide = np.flatnonzero(np.diff(at) > _GAP * usual)
+    first = np.searchsorted(at[wide + 1], sequence.stamp[steps.frame] - frame_step + _LAGS_S[0])
+    last = np.searchsorted(at[wide], sequence.stamp[steps.frame] + _LAGS_S[-1])
+    kept = (frame_step <= _GAP * float(np.median(np.diff(sequence.stamp)))) & (first >= last)
+    return VisionSteps(steps.frame[kept], steps.twist[kept], steps.sigma[kept])
+
+
 def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Array, period: float) -> Array:
-    """Square ``(m,)`` of each step's mismatch at a lag, over its scale, less what the samples' noise adds."""
+    """Squares ``(m, 4)`` of each step's mismatch in three rates and the speed ahead at a lag.
+
+    Over their scale, less what the noise of the samples adds.
+    """
     means, _ = replace(sequence, clock_offset=lag).step_means()
     residual = (steps.twist - means[steps.frame])[:, :4]
     residual = residual - np.median(residual, axis=0)
@@ -99,7 +137,7 @@ def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Arra
     weights = np.array([0.5 * (1.0 - fraction) ** 2, 0.5 + fraction - fraction**2, 0.5 * fraction**2])
     added = noise**2 * (weights @ weights)
     spread = np.maximum(steps.sigma[:, :4].mean(axis=0) ** 2 + 0.5 * noise**2, 1e-12)
-    return np.asarray(((residual**2 - added) / spread).sum(axis=1))
+    return np.asarray((residual**2 - added) / spread)
 
 
 def _sample_noise(values: Array) -> float:
@@ -148,6 +186,9 @@ def check_inertial_noise(
     text = "at most " + "; ".join(str(measured[i]) for i in known)
     values = [measured[i].value if i in known else density[i] for i in range(6)]
     if seen is not None:
+        rates = _rates(*seen)
+        text = f"{text}; rates are {_listed(rates)} rad/sqrt(s) off those that the camera sees"
+        values[:3] = np.fmax(rates, values[:3]).tolist()
         across = _across(*seen)
         text = f"{text}; against the camera {across[0]:.3g} and {across[1]:.3g} m/sqrt(s) across the travel"
         used = _sample_densities(seen[0])
@@ -172,6 +213,39 @@ def _sample_densities(sequence: Sequence) -> tuple[Measured, ...]:
     names = [f"gyro density {a}" for a in _AXES] + [f"velocity density {a}" for a in _AXES]
     units = ["rad/sqrt(s)"] * 3 + ["m/sqrt(s)"] * 3
     return tuple(robust_sigma(fourth[:, i], name=names[i], unit=units[i]) for i in range(6))
+
+
+def _rates(sequence: Sequence, steps: VisionSteps) -> Array:
+    """White part of what rates are off those that the camera sees, less the fit's, as densities ``(3,)``.
+
+    Samples can be far quieter than they are right: an instrument that smooths, or whose stamps jitter, has
+    errors that fourth differences do not see. Tails count, as an estimator that takes the noise for Gaussian
+    has none. NaN of too few steps.
+    """
+    means, _ = sequence.step_means()
+    dt = np.diff(sequence.stamp, prepend=np.nan)[steps.frame]
+    root = np.sqrt(dt)[:, None]
+    off = ((means[steps.frame] - steps.twist) * root)[:, :3]
+    change = np.diff(off, axis=0)[np.diff(steps.frame) == 1] / np.sqrt(2.0)
+    if len(change) < _FEWEST_CHANGES:
+        return np.full(3, np.nan)
+    seen = np.array([_with_tails(change[:, i]) for i in range(3)])
+    fit = np.median(steps.sigma[:, :3] * root, axis=0)
+    return np.sqrt(np.maximum(seen**2 - fit**2, 0.0))
+
+
+def _with_tails(values: Array) -> float:
+    """Standard deviation of the core of a series and of the tails that are part of it."""
+    values = values - np.median(values)
+    sigma = 1.4826 * float(np.median(np.abs(values)))
+    for _ in range(_GATINGS):
+        inside = values[np.abs(values) <= _TAILS * sigma]
+        sigma = float(np.sqrt(np.mean(inside**2))) if len(inside) else sigma
+    return sigma
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{value:.2g}" for value in values)
 
 
 def _across(sequence: Sequence, steps: VisionSteps) -> Array:

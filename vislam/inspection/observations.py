@@ -11,6 +11,8 @@ from vislam.repair import RepairConfig
 from vislam.repair.pixels import Disparity
 
 _ROWS_DIFFER_PX = 2.0
+_ROWS_SIGMAS, _FEW_ROWS = 6.0, 0.01
+"""Where more than so few rows do, they may differ by so many of the recording's own standard deviations."""
 _CHANNELS = ("uL", "vL", "uR", "vR")
 _SWAPPED = (2, 3, 0, 1)
 _MOST = 0.8
@@ -33,17 +35,18 @@ def check_observations(sequence: Sequence, repair: RepairConfig) -> Finding:
     width, height = 2.0 * sequence.rig.cx, 2.0 * sequence.rig.cy
     outside = (pixels[:, [0, 2]] < 0).any(axis=1) | (pixels[:, [0, 2]] > 1.2 * width).any(axis=1)
     outside |= (pixels[:, [1, 3]] < 0).any(axis=1) | (pixels[:, [1, 3]] > 1.6 * height).any(axis=1)
+    rows_px = _row_bound(rows)
     counts = {
         "disparity_not_positive": int(np.sum(disparity <= 0)),
         "lowest_disparity_px": float(disparity.min(initial=0.0)),
-        "rows_differ": int(np.sum(np.abs(rows) > _ROWS_DIFFER_PX)),
+        "rows_differ": int(np.sum(np.abs(rows) > rows_px)),
         "row_difference_median_px": float(np.median(np.abs(rows))) if len(rows) else 0.0,
         "outside_image": int(outside.sum()),
     }
     text = (
         f"{counts['disparity_not_positive']} of {len(pixels)} observations have a disparity of zero or less "
         f"(lowest {counts['lowest_disparity_px']:.1f} px), {counts['rows_differ']} rows differ by more than "
-        f"{_ROWS_DIFFER_PX:g} px, {counts['outside_image']} lie outside an image of twice the principal point"
+        f"{rows_px:g} px, {counts['outside_image']} lie outside an image of twice the principal point"
     )
     whole = _whole_recording(sequence, outside=float(np.sum(outside)) / max(len(pixels), 1))
     if whole is not None:
@@ -53,7 +56,8 @@ def check_observations(sequence: Sequence, repair: RepairConfig) -> Finding:
     bad = counts["disparity_not_positive"] + counts["rows_differ"]
     if bad == 0:
         return Finding("observations", "ok", text, counts=counts)
-    kept = Disparity().apply(sequence).observations if repair.disparity is None else len(pixels)
+    step = Disparity(row_difference_px=rows_px)
+    kept = step.apply(sequence).observations if repair.disparity is None else len(pixels)
     if kept < _KEPT * len(pixels):
         text = f"{text}; the disparity step would leave {kept} of {len(pixels)}, so it is not proposed"
         unknown = {"data.repair.disparity": f"it would leave {kept} of {len(pixels)} observations"}
@@ -61,7 +65,18 @@ def check_observations(sequence: Sequence, repair: RepairConfig) -> Finding:
     if repair.disparity is not None:
         text = f"{text}; the configured disparity step drops them ({100.0 * bad / len(pixels):.1f} %)"
         return Finding("observations", "ok", text, counts=counts)
-    return Finding("observations", "fault", text, counts=counts, proposal={"data.repair.disparity": True})
+    proposal = {
+        "data.repair.disparity": True if rows_px == _ROWS_DIFFER_PX else {"row_difference_px": rows_px}
+    }
+    return Finding("observations", "fault", text, counts=counts, proposal=proposal)
+
+
+def _row_bound(rows: Array) -> float:
+    """Largest |vL - vR| of an observation [px]: the usual one, or what the front end's spread asks for."""
+    if not len(rows) or np.mean(np.abs(rows) > _ROWS_DIFFER_PX) < _FEW_ROWS:
+        return _ROWS_DIFFER_PX
+    spread = 1.4826 * float(np.median(np.abs(rows - np.median(rows))))
+    return max(_ROWS_DIFFER_PX, float(f"{_ROWS_SIGMAS * spread + abs(float(np.median(rows))):.2g}"))
 
 
 def _whole_recording(sequence: Sequence, *, outside: float) -> str | None:

@@ -188,7 +188,7 @@ def _row_residuals(sequence: Sequence, fits: dict[int, RigidFit], span: int) -> 
         if len(old) < 6:
             continue
         moved = se3.transform(motion, sequence.rig.back_project(z[old]))
-        moved[:, 2] = np.maximum(moved[:, 2], 0.5)
+        moved[:, 2] = np.maximum(moved[:, 2], sequence.rig.nearest)
         residual = (z[new] - sequence.rig.project(moved))[:, 2]
         # What all share is the error of the chained motion, not of the tracks.
         out += (residual - np.median(residual)).tolist()

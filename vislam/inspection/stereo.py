@@ -17,11 +17,12 @@ from vislam.inspection.finding import Finding, Measured, jackknife
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
 
-_SHORTEST_M = 0.2
-"""A step below this says nothing about scale."""
+_SHORTEST = 0.012
+"""A step below this share of the depth of its tracks says nothing about scale."""
 _SMALLEST_FLOW_PX = 2.0
-_EDGES_PX = np.array([3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, 80.0])
-"""Bins of disparity. Below them the gate at which a track may start chooses what the noise made near."""
+_EDGES_PX = np.array([3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, 80.0, 140.0, 250.0, 450.0])
+"""Bins of disparity, up to that of what is an arm's length away. Below them the gate at which a track may
+start chooses what the noise made near."""
 _FEWEST = 40
 _BLOCKS = 12
 _OUTLIER = 6.0
@@ -62,12 +63,14 @@ class Ways:
 def inertial_ways(sequence: Sequence, pairs: Continuations, fits: dict[int, RigidFit]) -> Ways:
     """Ratios of all tracks whose flow tells one to the inertial way."""
     predicted = predicted_steps(sequence)
+    points = sequence.rig.back_project(sequence.z)
     steps = {}
     for k, fit in fits.items():
         direction = fit.next_T_prev[:3, 3] / max(float(np.linalg.norm(fit.next_T_prev[:3, 3])), 1e-9)
         # Only what of the inertial step lies along the seen one: noise across it would lengthen it.
         step = float(predicted[k][:3, 3] @ direction) * direction
-        if np.linalg.norm(step) >= _SHORTEST_M:
+        depth = float(np.median(points[pairs.before[pairs.start[k] : pairs.start[k + 1]], 2]))
+        if np.linalg.norm(step) >= _SHORTEST * depth:
             steps[k] = step
     return _ways(sequence, pairs, fits, steps)
 
@@ -88,7 +91,7 @@ def _ways(
         ratio = np.ones(len(before))
         for _ in range(4):
             moved = turned + ratio[:, None] * step
-            moved[:, 2] = np.maximum(moved[:, 2], 0.5)
+            moved[:, 2] = np.maximum(moved[:, 2], rig.nearest)
             flow = (rig.projection_jacobian(moved) @ step)[:, [0, 2]]
             residual = (z[after] - rig.project(moved))[:, [0, 2]]
             square = np.maximum((flow**2).sum(axis=1), 1e-9)

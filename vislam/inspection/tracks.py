@@ -19,6 +19,10 @@ _GAP = 1.5
 _MOST = 0.5
 _LEAST = 3
 _LISTED = 12
+_SEEN_AGAIN = 0.25
+"""Share of the tracks that come back from which on ids are taken for those of landmarks."""
+_REMEMBERED = "most 100"
+"""Landmarks out of view that are kept then: a bound on what a step of a filter takes."""
 
 
 def check_stale(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, dict[str, Array]]:
@@ -84,6 +88,35 @@ def _steps(sequence: Sequence) -> Finding:
         f"{step.max():.3f} s, {inertial_gaps} gaps in the inertial samples: nothing spans them"
     )
     return Finding("stamps", "note", text, counts=counts)
+
+
+def check_seen_again(sequence: Sequence, *, kept: str) -> Finding:
+    """Whether track ids come back after they were out of view, as those of known landmarks do.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        Tracks as the file has them, duplicated ones cut.
+    kept : str
+        As configured.
+    """
+    frame, track = sequence.frame_of, sequence.track
+    order = np.lexsort((frame, track))
+    gap = np.diff(frame[order])[np.diff(track[order]) == 0]
+    back = int(np.sum(gap > 1))
+    count = len(np.unique(track))
+    again = len(np.unique(track[order][1:][(np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)]))
+    counts: dict[str, float] = {"tracks": count, "seen_again": again, "returns": back}
+    text = f"{again} of {count} tracks come back after they were out of view, {back} times in all"
+    if again < _SEEN_AGAIN * count:
+        return Finding("landmarks seen again", "ok", text, counts=counts)
+    text = (
+        f"{text}, for {np.median(gap[gap > 1]) - 1:.0f} frames half of the times: ids are those of landmarks"
+    )
+    settings = {"data.landmarks": {"kept": _REMEMBERED}}
+    if kept != "while_tracked":
+        text = f"{text}; kept: {kept} as configured"
+    return Finding("landmarks seen again", "note", text, counts=counts, settings=settings)
 
 
 def check_track_counts(sequence: Sequence) -> tuple[Finding, dict[str, Array]]:

@@ -13,6 +13,8 @@ from vislam.core.sequence import Sequence
 
 MOST = 0.5
 """A frame is stale when more than this share of the tracks that continue into it repeat their pixels."""
+_GRID_PX, _ON_GRID = 0.25, 0.02
+"""Pixels are coarse when more than this share of them are multiples of so much; few of fine ones are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -39,15 +41,25 @@ class StaleTracks:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Interruptions:
-    """Start a new landmark where a track was out of sight, so that a lost id never comes back."""
+    """Start a new landmark where a track was out of sight, so that a lost id never comes back.
+
+    It does come back where it is one of the landmarks out of view that are remembered, those seen last.
+    """
+
+    kept: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Landmarks out of view that are remembered; ``data.landmarks`` sets it for estimators, too."""
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Cut the tracks there."""
         frame, track = sequence.frame_of, sequence.track
         order = np.lexsort((frame, track))
-        starts = np.zeros(len(track), bool)
-        starts[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)
-        return start_new_tracks(sequence, starts, interruptions=int(starts.sum()))
+        back = np.zeros(len(track), bool)
+        back[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)
+        starts = back & ~_remembered(sequence, back, self.kept) if self.kept else back
+        counts = {"interruptions": int(starts.sum())}
+        if self.kept:
+            counts["seen_again"] = int(back.sum() - starts.sum())
+        return start_new_tracks(sequence, starts, **counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -73,8 +85,30 @@ class SingleSightings:
         return sequence.select(keep, dropped_single_sightings=int(np.sum(~keep)))
 
 
+def _remembered(sequence: Sequence, back: BoolArray, kept: int) -> BoolArray:
+    """Mask ``(n,)`` of the observations ``back`` whose track is one of the ``kept`` out of view seen last.
+
+    A track that was forgotten once starts anew, and may be remembered from then on. Of equally late ones, the
+    lower ids are kept.
+    """
+    out = np.zeros(len(back), bool)
+    last = np.full(int(sequence.track.max(initial=-1)) + 1, -1)
+    for k in range(len(sequence)):
+        rows = slice(int(sequence.offset[k]), int(sequence.offset[k + 1]))
+        here = sequence.track[rows]
+        out[rows] = back[rows] & (last[here] >= 0)
+        last[here] = k
+        unseen = np.flatnonzero((last >= 0) & (last < k))
+        if len(unseen) > kept:
+            last[unseen[np.lexsort((unseen, -last[unseen]))][kept:]] = -1
+    return out
+
+
 def stale_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
     """Find observations that a re-detecting front end wrote with the pixels of the frame before.
+
+    Where pixels are rounded to a coarse grid, a camera at rest repeats them, too: there a frame is stale only
+    if most tracks move out of it, or moved into the one before, by more than the grid.
 
     Returns
     -------
@@ -93,7 +127,14 @@ def stale_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
     repeats[order[1:]] = same_track & next_frame & same_pixels
     continuing = np.bincount(frame[continues], minlength=len(sequence))
     repeating = np.bincount(frame[repeats], minlength=len(sequence))
-    return (repeating > MOST * continuing) & (continuing > 0), repeats
+    stale = (repeating > MOST * continuing) & (continuing > 0)
+    if stale.any() and np.mean(sequence.pixels % _GRID_PX == 0.0) > _ON_GRID:
+        moved = np.zeros(len(track), bool)
+        step = np.abs(np.diff(sequence.pixels[order], axis=0)).max(axis=1)
+        moved[order[1:]] = same_track & next_frame & (step > 2.0 * _GRID_PX)
+        moving = np.bincount(frame[moved], minlength=len(sequence)) > MOST * continuing
+        stale &= np.append(moving[1:], False) | np.insert(moving[:-1], 0, False)
+    return stale, repeats
 
 
 def start_new_tracks(sequence: Sequence, starts: BoolArray, **counts: int) -> Sequence:

@@ -163,9 +163,10 @@ class DenseFilter:
         shared = self._shared(before)
         self.landmarks = self.landmarks + own
         if self._form == "invariant":
-            # Of a landmark out of view the motion is taken where it was last seen, and does not change.
+            # Of a landmark that is never seen again the motion is taken where it was last seen, and does not
+            # change; one that may be seen again moves along.
             for track, change in zip(self.track, self._shared(before) - shared, strict=True):
-                if track in self._in_view:
+                if track in self._in_view or self._problem.kept:
                     start = self.place["landmark", track].start
                     reset[start : start + 3, POSE] = change
         self.cov = reset @ self.cov @ reset.T

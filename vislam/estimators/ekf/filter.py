@@ -34,7 +34,8 @@ class EkfEstimator:
     """Joint EKF over navigation state and the landmarks in view (report, section III-D).
 
     A landmark leaves the state when its track ends. It would never be measured again, so the rest of the
-    state is as if it had stayed; what later data say about it, it is told by the way back in the end.
+    state is as if it had stayed; what later data say about it, it is told by the way back in the end. Where
+    landmarks are seen again, those out of view that are remembered stay in the state.
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class EkfEstimator:
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
-        self._see_off(_places(self.state.track, frame.stereo.track) >= 0)
+        self._see_off(self._staying(self.state, _places(self.state.track, frame.stereo.track)))
         if self._recorder is not None:
             record = self._recorder.take(self.state, frame)
             steps = self._recorder.latest
@@ -120,19 +121,22 @@ class EkfEstimator:
         """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
         usable = frame.stereo.usable
         rows = _places(state.track, frame.stereo.track)
-        seen = rows >= 0
-        if not seen.all():
-            state.keep(seen)
-            rows = rows[seen]
+        staying = self._staying(state, rows)
+        if not staying.all():
+            state.keep(staying)
+            rows = rows[staying]
+        slots = np.flatnonzero(rows >= 0)
+        rows = rows[slots]
+        state.see(slots, frame.k)
         if frame.k == 0:
             state.nav = self._motion.first(self._layout, state.nav, frame)
         else:
             state.predict(self._motion.propagate(self._layout, state.nav, frame))
         told = self._measure(state, frame)
-        view = self._camera.view(state.world_T_imu, state.anchors, state.landmarks)
+        view = self._camera.view(state.world_T_imu, state.anchors[slots], state.landmarks[slots])
         if self._track_noise.drift > 0.0:
-            state.wander(view.drift_cov(self._track_noise.drift))
-        fused, gated, update = self._fuse(state, view, frame, rows, usable[rows])
+            state.wander(slots, view.drift_cov(self._track_noise.drift))
+        fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
         new = usable.copy()
         new[rows] = False
         self._initialise(state, frame, new)
@@ -156,19 +160,35 @@ class EkfEstimator:
             gated=all_gated,
         )
 
-    def _fuse(
-        self, state: JointState, view: View, frame: Frame, rows: IntArray, allowed: BoolArray
-    ) -> tuple[BoolArray, BoolArray, Update | None]:
-        """Gate and fuse what is seen in ``rows`` of the frame of the landmarks, which are all in view.
+    def _staying(self, state: JointState, rows: IntArray) -> BoolArray:
+        """Landmarks that stay: those in view, whose ``rows`` are not -1, and those of the rest seen last."""
+        staying = rows >= 0
+        if self._problem.kept and not staying.all():
+            out = np.flatnonzero(~staying)
+            latest = np.lexsort((state.track[out], -state.seen_at[out]))
+            staying[out[latest[: self._problem.kept]]] = True
+        return staying
 
-        Returns the masks of fused and gated landmarks, and the update if anything was fused.
+    def _fuse(
+        self,
+        state: JointState,
+        view: View,
+        frame: Frame,
+        rows: IntArray,
+        *,
+        allowed: BoolArray,
+        slots: IntArray,
+    ) -> tuple[BoolArray, BoolArray, Update | None]:
+        """Gate and fuse what is seen in ``rows`` of the frame of the landmarks in view, ``slots``.
+
+        Returns the masks ``(n,)`` of those that were fused and gated, and the update if anything was fused.
         """
         n = len(rows)
         nothing = np.zeros(n, bool)
         if not allowed.any():
             return nothing, nothing, None
         z, variance = frame.stereo.z[rows], self._variance(frame, rows)
-        innovation = self._linearise(state, view, z)
+        innovation = self._linearise(state, view, z, slots)
         distance = innovation.distances(variance)
         passes = (distance <= self._threshold) & (view.depth > self._nearest)
         good, gated = allowed & passes, allowed & ~passes
@@ -181,10 +201,10 @@ class EkfEstimator:
             correction = update.correction
             there = se3.retract(state.world_T_imu, correction[POSE])
             landmarks = state.landmarks + correction[self._layout.size :].reshape(-1, LANDMARK)
-            view = self._camera.view(there, state.anchors, landmarks)
+            view = self._camera.view(there, state.anchors[slots], landmarks[slots])
             if not (view.depth[good] > self._nearest).all():
                 break
-            innovation = self._linearise(state, view, z, correction)
+            innovation = self._linearise(state, view, z, slots, correction=correction)
             weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
             update = innovation.update(weighted, good)
             change = update.correction - correction
@@ -194,14 +214,16 @@ class EkfEstimator:
         return good, gated, update
 
     def _linearise(
-        self, state: JointState, view: View, z: Array, correction: Array | None = None
+        self, state: JointState, view: View, z: Array, slots: IntArray, *, correction: Array | None = None
     ) -> "_Innovation":
         """Linearise the sightings of a view, which is that of the state or of where a correction leads."""
         seen_from = view
         if state.form == "first_estimates":
-            seen_from = self._camera.view(state.world_T_imu, state.anchors, state.linearised_at)
+            first = state.linearised_at[slots]
+            seen_from = self._camera.view(state.world_T_imu, state.anchors[slots], first)
         by_nav, by_landmark = seen_from.jacobians()
-        jacobian = Jacobian(by_nav.reshape(-1, self._layout.size), by_landmark, None)
+        some = slots if len(slots) < len(state.track) else None
+        jacobian = Jacobian(by_nav.reshape(-1, self._layout.size), by_landmark, some)
         if correction is None:
             value = (z - view.measurement(self._offset(state.nav))).reshape(-1)
         else:
@@ -261,6 +283,7 @@ class EkfEstimator:
             landmarks,
             by_nav=by_nav,
             noise=(by_measurement * variance[:, None, :]) @ by_measurement.transpose(0, 2, 1),
+            seen_at=frame.k,
         )
 
     def _variance(self, frame: Frame, rows: IntArray) -> Array:
@@ -315,7 +338,8 @@ class _Innovation:
         if good.all():
             return Update.of(self.jacobian, self.projected, self.spread, self.value)
         rows, of = np.flatnonzero(np.repeat(good, 3)), self.jacobian
-        part = Jacobian(of.by_nav[rows], of.by_landmark[good], np.flatnonzero(good))
+        slots = np.flatnonzero(good) if of.slots is None else of.slots[good]
+        part = Jacobian(of.by_nav[rows], of.by_landmark[good], slots)
         spread = self.spread.take(rows, axis=0).take(rows, axis=1)
         return Update.of(part, self.projected.take(rows, axis=0), spread, self.value[rows])
 

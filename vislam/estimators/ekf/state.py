@@ -81,6 +81,8 @@ class JointState:
     anchors : (n, 4, 4)
     landmarks, first : (n, 4)
         Landmarks as estimated now, and as first estimated.
+    seen_at : (n,)
+        Frame in which each was in view last.
     cov : (d_nav + 4n, d_nav + 4n)
     steps : list of Step or None
         Where steps are noted for the way back.
@@ -96,6 +98,7 @@ class JointState:
         self.anchors: Array = np.empty((0, 4, 4))
         self.landmarks: Array = np.empty((0, LANDMARK))
         self.first: Array = np.empty((0, LANDMARK))
+        self.seen_at: IntArray = np.empty(0, np.int64)
         self.cov: Array = np.diag(sigma**2)
         self.steps: list[Step] | None = None
 
@@ -104,6 +107,7 @@ class JointState:
         other = JointState(self.chart, self.form, self.layout, nav=self.nav, sigma=np.zeros(len(self.nav)))
         other.world_T_imu, other.track, other.anchors = self.world_T_imu, self.track, self.anchors
         other.landmarks, other.first, other.cov = self.landmarks, self.first, self.cov.copy()
+        other.seen_at = self.seen_at
         return other
 
     @property
@@ -129,12 +133,16 @@ class JointState:
         move.forward(self.cov, step.noise)
         self._note(move)
 
-    def wander(self, noise: Array) -> None:
-        """Let the landmarks' coordinates walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
+    def see(self, slots: IntArray, frame: int) -> None:
+        """Note that some landmarks are in view of a frame."""
+        self.seen_at = self.seen_at.copy()
+        self.seen_at[slots] = frame
+
+    def wander(self, slots: IntArray, noise: Array) -> None:
+        """Let coordinates of some landmarks walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
         n, nav = len(self.track), self.layout.size
-        each = np.arange(n)
         blocks = self.cov[nav:, nav:].reshape(n, LANDMARK, n, LANDMARK)
-        blocks[each, :3, each, :3] += noise
+        blocks[slots, :3, slots, :3] += noise
 
     def correct(self, update: Update) -> None:
         """Take an update.
@@ -155,7 +163,14 @@ class JointState:
             self._note(reset)
 
     def append(
-        self, track: IntArray, anchors: Array, landmarks: Array, *, by_nav: Array, noise: Array
+        self,
+        track: IntArray,
+        anchors: Array,
+        landmarks: Array,
+        *,
+        by_nav: Array,
+        noise: Array,
+        seen_at: int,
     ) -> None:
         """Append landmarks that are functions of the navigation state.
 
@@ -167,6 +182,8 @@ class JointState:
         by_nav : (n, 4, d_nav)
         noise : (n, 4, 4)
             Covariances for a known navigation state.
+        seen_at : int
+            The frame.
         """
         step = Append(by_nav.reshape(-1, self.layout.size))
         self.cov = step.forward(self.cov, noise)
@@ -175,6 +192,7 @@ class JointState:
         self.anchors = np.concatenate([self.anchors, anchors])
         self.landmarks = np.concatenate([self.landmarks, landmarks])
         self.first = np.concatenate([self.first, landmarks])
+        self.seen_at = np.concatenate([self.seen_at, np.full(len(track), seen_at)])
 
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: their rows and columns go."""
@@ -185,6 +203,7 @@ class JointState:
         self._note(step)
         self.track, self.anchors = self.track[mask], self.anchors[mask]
         self.landmarks, self.first = self.landmarks[mask], self.first[mask]
+        self.seen_at = self.seen_at[mask]
 
     def farewell(self, slots: IntArray) -> "Farewell":
         """What is known of some landmarks now."""

@@ -11,6 +11,8 @@ from vislam.base.types import Array
 from vislam.estimators.smoother.keys import A, thresholds
 from vislam.estimators.smoother.options import SmootherOptions
 
+_POSE_SHARE = 0.05
+"""A pose that moved by more than this share of the baseline is relinearised, unless the options say it."""
 _ANCHOR_SIGMA = np.repeat([0.01, 0.1], 3)
 """How far an anchor may be from its pose [rad, m]."""
 
@@ -150,17 +152,18 @@ class WholeGraph(_Read):
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
     """
 
-    def __init__(self, options: SmootherOptions, factorization: str) -> None:
+    def __init__(self, options: SmootherOptions, factorization: str, *, baseline: float) -> None:
         self._every = options.relinearize_every
         self._anchored = factorization == "cholesky"
         # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
         self._given = 0
         self._anchor: tuple[int, int] | None = None
-        parameters = _parameters(options, factorization)
+        parameters = _parameters(options, factorization, baseline=baseline)
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
         self._resting = gtsam.KeyList()
+        self._at_rest: set[int] = set()
 
     def update(
         self,
@@ -175,8 +178,7 @@ class WholeGraph(_Read):
     ) -> list[int]:
         """Take a frame."""
         del stamps
-        for key in resting:
-            self._resting.push_back(key)
+        self._rest(resting, back=self._at_rest.intersection(in_view))
         parameters, frame = gtsam.ISAM2UpdateParams(), gtsam.symbolIndex(newest[0])
         remove, order = list(remove), [newest, in_view]
         if self._anchored:
@@ -220,6 +222,15 @@ class WholeGraph(_Read):
             found.erase(self._anchor[1])
         return found
 
+    def _rest(self, keys: Sequence[int], *, back: set[int]) -> None:
+        """Relinearise some keys no more, and those again that have come ``back`` into view."""
+        self._at_rest.update(keys)
+        if back:
+            self._at_rest -= back
+            self._resting, keys = gtsam.KeyList(), sorted(self._at_rest)
+        for key in keys:
+            self._resting.push_back(key)
+
     def _with_anchor(
         self, pose: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
     ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -240,8 +251,8 @@ class WholeGraph(_Read):
 class FixedLag(_Read):
     """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
 
-    def __init__(self, options: SmootherOptions, factorization: str) -> None:
-        parameters = _parameters(options, factorization)
+    def __init__(self, options: SmootherOptions, factorization: str, *, baseline: float) -> None:
+        parameters = _parameters(options, factorization, baseline=baseline)
         parameters.enableRelinearization = options.relinearize_every > 0
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
@@ -280,19 +291,25 @@ class FixedLag(_Read):
         return _solved(self._solver.calculateEstimate)
 
 
-def make(options: SmootherOptions, *, factorization: str) -> Engine:
-    """Engine that the options ask for; ``factorization`` is qr or cholesky."""
+def make(options: SmootherOptions, *, factorization: str, baseline: float) -> Engine:
+    """Engine that the options ask for; ``factorization`` is qr or cholesky, the baseline that of the rig."""
     kind = WholeGraph if options.lag_s is None else FixedLag
-    return kind(options, factorization)
+    return kind(options, factorization, baseline=baseline)
 
 
-def _parameters(options: SmootherOptions, factorization: str) -> gtsam.ISAM2Params:
+def _parameters(options: SmootherOptions, factorization: str, *, baseline: float) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization(factorization.upper())
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
-    pose = np.repeat([options.pose_threshold_rad, options.pose_threshold_m], 3)
+    moved = _pose_threshold(options, baseline)
+    pose = np.repeat([options.pose_threshold_rad, moved], 3)
     parameters.setRelinearizeThreshold(thresholds(pose=pose, depth_share=options.landmark_threshold))
     return parameters
+
+
+def _pose_threshold(options: SmootherOptions, baseline: float) -> float:
+    """Largest move of a pose that is not relinearised [m]."""
+    return _POSE_SHARE * baseline if options.pose_threshold_m is None else options.pose_threshold_m
 
 
 def _solved(call: Any, *arguments: Any) -> Any:

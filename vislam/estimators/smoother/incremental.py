@@ -60,7 +60,7 @@ class SmootherEstimator:
         }
         self._motion = motion.make(problem, between=options.motion == "between")
         self._stereo = StereoFactors(problem.rig, kernel=kernel)
-        self._solver = Solver(problem.rig, options, self._motion, self._stereo)
+        self._solver = Solver(problem.rig, options, self._motion, self._stereo, comes_back=problem.kept > 0)
         self._recovery = Recovery(problem.rig, options, self._solver)
         self._frames: list[Frame] = []
         self._events: list[str] = []
@@ -75,7 +75,7 @@ class SmootherEstimator:
         self._frames.append(frame)
         solver.predict(frame)
         self._motion.insert(values, frame, solver.poses[-1])
-        sights = [(track, track.views[-1]) for track in solver.tracks.take(frame)]
+        sights = [(track, track.views[-1]) for track in solver.tracks.take(frame, oldest=solver.held().start)]
         for track in solver.start():
             values.insert(track.key, track.point)
             sights += [(track, view) for view in track.views]
@@ -140,8 +140,8 @@ class SmootherEstimator:
             },
             up=None if self._problem.climb is None else np.array([0.0, 0.0, 1.0]),
             fused=(
-                np.array([view.k for track in tracks for view in track.views], dtype=np.int64),
-                np.array([track.id for track in tracks for _ in track.views], dtype=np.int64),
+                np.array([view.k for track in tracks for view in track.past + track.views], dtype=np.int64),
+                np.array([track.id for track in tracks for _ in track.past + track.views], dtype=np.int64),
             ),
             events=tuple(self._recovery.events + self._events),
             fit=fit,

@@ -19,9 +19,9 @@ from vislam.base.types import Array
 
 CLOCK: int = C(0)
 DIRECTION: int = D(0)
-_LETTERS = "ijklmnopqrstu"
-_NEAREST = 4.0
-"""Depth up to which the first letter goes [m]."""
+_LETTERS = "DEFGIJKLMNijklmnopqrstu"
+_NEAREST = 0.125
+"""Depth up to which the first letter goes [m]; the last one begins at 181 m."""
 _LINEAR = 1e3
 
 __all__ = ["CLOCK", "DIRECTION", "A", "B", "H", "V", "W", "X", "is_landmark", "landmark", "thresholds"]

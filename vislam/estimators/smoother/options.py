@@ -23,8 +23,8 @@ class SmootherOptions:
     """Frames after its last sight for which a variable may still be relinearised, until the end."""
     pose_threshold_rad: Positive = 0.003
     """Relinearise a pose that turned by more than this [rad]."""
-    pose_threshold_m: Positive = 0.03
-    """Relinearise a pose that moved by more than this [m]."""
+    pose_threshold_m: Positive | None = None
+    """Relinearise a pose that moved by more than this [m]; null: by a twentieth of the baseline."""
     landmark_threshold: Positive = 0.05
     """Relinearise a landmark that moved by more than this share of its depth."""
     wildfire_threshold: NonNegative = 1.0

@@ -36,12 +36,18 @@ class Solver:
     """
 
     def __init__(
-        self, rig: StereoRig, options: SmootherOptions, motion: Motion, stereo: StereoFactors
+        self,
+        rig: StereoRig,
+        options: SmootherOptions,
+        motion: Motion,
+        stereo: StereoFactors,
+        *,
+        comes_back: bool = False,
     ) -> None:
         self._rig, self._options, self._motion, self._stereo = rig, options, motion, stereo
         self.factorization = "qr" if options.factorization == "qr" else "cholesky"
-        self.engine = engine.make(options, factorization=self.factorization)
-        self.tracks = Tracks()
+        self.engine = engine.make(options, factorization=self.factorization, baseline=rig.baseline)
+        self.tracks = Tracks(comes_back=comes_back)
         self.poses: list[Array] = []
         self.left: list[Array] = []
         self._stamps: list[float] = []
@@ -202,7 +208,9 @@ class Solver:
         old = frame.k - self._options.window
         resting = [key for k in self.held() if k <= old for key in self._motion.keys(k)]
         resting += [track.key for track in landmarks if track.views[-1].k <= old]
-        self.engine = engine.make(self._options, factorization=self.factorization)
+        self.engine = engine.make(
+            self._options, factorization=self.factorization, baseline=self._rig.baseline
+        )
         slots = self.engine.update(
             graph,
             values,

@@ -41,6 +41,8 @@ class Track:
         Where its factors are in the solver.
     point : (3,)
         Its landmark as estimated when it was last in view [m].
+    past : list of View
+        Observations whose factors a lag has marginalised with an earlier landmark of the same track.
     """
 
     id: int
@@ -48,29 +50,37 @@ class Track:
     key: int = 0
     slots: list[int] = field(default_factory=list)
     point: Array = field(default_factory=lambda: np.zeros(3))
+    past: list[View] = field(default_factory=list)
 
 
 class Tracks:
     """All tracks of a drive, each in one of four places.
 
     A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not
-    have it, it ends. A track whose landmark went astray is set aside for as long as it lasts.
+    have it, it ends. A track whose landmark went astray is set aside for as long as it lasts. Where landmarks
+    are seen again, a track that has ended comes back into view, and one that waits goes on waiting.
+
+    Parameters
+    ----------
+    comes_back : bool
+        Whether landmarks are seen again.
 
     Attributes
     ----------
     waiting, in_view : dict
         By the track's id.
-    ended : list of Track
-        Landmarks of the graph that are out of view.
+    ended : dict
+        Landmarks of the graph that are out of view, by the track's id.
     too_weak, set_aside, views_dropped : int
         Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting
         tracks that were let go.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, comes_back: bool = False) -> None:
+        self._comes_back = comes_back
         self.waiting: dict[int, Track] = {}
         self.in_view: dict[int, Track] = {}
-        self.ended: list[Track] = []
+        self.ended: dict[int, Track] = {}
         self.too_weak = self.set_aside = self.views_dropped = 0
         self._aside: set[int] = set()
         self._started = self._frames_without = 0
@@ -78,18 +88,24 @@ class Tracks:
     @property
     def landmarks(self) -> list[Track]:
         """All tracks whose landmarks are in the graph."""
-        return [*self.ended, *self.in_view.values()]
+        return [*self.ended.values(), *self.in_view.values()]
 
-    def take(self, frame: Frame) -> list[Track]:
-        """Add a frame's views; returns the landmarks that got one, in the frame's order."""
+    def take(self, frame: Frame, *, oldest: int = 0) -> list[Track]:
+        """Add a frame's views; returns the landmarks that got one, in the frame's order.
+
+        A landmark that was last seen before the frame ``oldest`` is not in the graph any more: its track
+        starts another.
+        """
         here = frame.stereo.track.tolist()
         present = set(here)
         self._aside &= present
-        for gone in self.waiting.keys() - present:
+        for gone in self.waiting.keys() - present if not self._comes_back else ():
             del self.waiting[gone]
             self.too_weak += 1
         for gone in sorted(self.in_view.keys() - present):
-            self.ended.append(self.in_view.pop(gone))
+            self.ended[gone] = self.in_view.pop(gone)
+        for back in self.ended.keys() & present:
+            self._bring_back(self.ended.pop(back), oldest)
         seen = []
         for row in np.flatnonzero(frame.stereo.usable).tolist():
             name = here[row]
@@ -103,6 +119,13 @@ class Tracks:
             else:
                 self.waiting.setdefault(name, Track(name)).views.append(view)
         return seen
+
+    def _bring_back(self, track: Track, oldest: int) -> None:
+        """Take a landmark into view again, or let its track wait for another."""
+        if track.views[-1].k >= oldest:
+            self.in_view[track.id] = track
+        else:
+            self.waiting[track.id] = Track(track.id, past=track.past + track.views)
 
     def start(
         self, rig: StereoRig, poses: Sequence[Array], *, clear: float, most: int, oldest: int
@@ -161,8 +184,9 @@ class Tracks:
             for place in (self.in_view, self.waiting):
                 place.pop(track.id, None)
             self._aside.add(track.id)
-        gone = {id(track) for track in tracks}
-        self.ended = [track for track in self.ended if id(track) not in gone]
+        for track in tracks:
+            if self.ended.get(track.id) is track:
+                del self.ended[track.id]
         self.set_aside += len(tracks)
 
 
