@@ -12,6 +12,7 @@ COMMANDS = {
     "compare": "run estimators on identical information, score and report",
     "evaluate": "score saved runs again, beside trajectories from elsewhere",
     "inspect": "find what is wrong with a recording, from the data alone",
+    "track": "make tracks of a folder of stereo images",
     "calibrate": "find noise, biases and clock from the data alone",
     "study": "repeat a comparison over seeds and values, on many processes",
     "simulate": "write a simulated recording",

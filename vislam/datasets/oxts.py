@@ -49,7 +49,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
         If something is missing, unreadable or of a wrong count, or if stamps do not increase. A sample that
         repeats the stamp of the one before is dropped and counted.
     """
-    table = _samples(folder)
+    number, table = _samples(folder)
     duplicates = 0
     if camera_timestamps is None:
         if len(table) != len(sequence):
@@ -59,7 +59,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
             )
         stamp = sequence.stamp
     else:
-        stamp = _in_clock_of(sequence, folder / "timestamps.txt", camera_timestamps, samples=len(table))
+        stamp = _in_clock_of(sequence, folder / "timestamps.txt", camera_timestamps, number=number)
         fresh = np.diff(stamp, prepend=-np.inf) != 0
         duplicates = int(np.sum(~fresh))
         stamp, table = stamp[fresh], table[fresh]
@@ -80,8 +80,27 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
     )
 
 
-def _samples(folder: Path) -> Array:
-    """Read the numbers of all samples, ``(S, 30)``, in the order of the numbers that name their files."""
+def read_oxts(folder: Path) -> tuple[IntArray, Array]:
+    """Read all samples of a folder as they are.
+
+    Returns
+    -------
+    stamp_ns : (S,)
+        Stamps [ns], local time as :func:`read_timestamps` has it.
+    table : (S, 30)
+        The numbers of each sample.
+
+    Raises
+    ------
+    DataError
+        If something is missing, unreadable or of a wrong count.
+    """
+    number, table = _samples(folder)
+    return _own_stamps(folder / "timestamps.txt", number), table
+
+
+def _samples(folder: Path) -> tuple[IntArray, Array]:
+    """Numbers that name the files, ``(S,)``, in order, and the samples in them, ``(S, 30)``."""
     paths = list((folder / "data").glob("*.txt"))
     if not 2 <= len(paths) <= _MOST_SAMPLES:
         raise DataError(
@@ -89,16 +108,17 @@ def _samples(folder: Path) -> Array:
             "name the folder oxts of a KITTI raw drive"
         )
     rows = np.empty((len(paths), _COLUMNS))
-    for row, path in zip(rows, _by_number(paths), strict=True):
+    numbered = _by_number(paths)
+    for row, path in zip(rows, numbered.values(), strict=True):
         table, _ = read_table(path, columns=_COLUMNS)
         if len(table) != 1:
             raise DataError(f"{path}: must hold one line of {_COLUMNS} numbers, got {len(table)}")
         row[:] = table[0]
-    return rows
+    return np.array([min(number, _MOST_SAMPLES) for number in numbered]), rows
 
 
-def _by_number(paths: list[Path]) -> list[Path]:
-    """Files in the order of their numbers, whatever their padding."""
+def _by_number(paths: list[Path]) -> dict[int, Path]:
+    """Files by their numbers, in order, whatever their padding."""
     numbered: dict[int, Path] = {}
     for path in sorted(paths):
         if not (path.stem.isascii() and path.stem.isdigit() and len(path.stem) <= _MOST_DIGITS):
@@ -108,14 +128,25 @@ def _by_number(paths: list[Path]) -> list[Path]:
         other = numbered.setdefault(int(path.stem), path)
         if other is not path:
             raise DataError(f"{path}: must be the only sample of its number, got {other.name}; remove one")
-    return [numbered[number] for number in sorted(numbered)]
+    return {number: numbered[number] for number in sorted(numbered)}
 
 
-def _in_clock_of(sequence: Sequence, path: Path, camera_timestamps: Path, *, samples: int) -> Array:
+def _own_stamps(path: Path, number: IntArray) -> IntArray:
+    """Stamps of the samples ``(S,)`` [ns]: a line each, or the line of each number if some are missing."""
+    own = read_timestamps(path)
+    if len(own) == len(number):
+        return own
+    if len(own) < len(number) or number[-1] >= len(own):
+        raise DataError(
+            f"{path}: must have a line for each of the {len(number)} files in data, got {len(own)}"
+            + (f", and sample {number[-1]} is none of them" if len(own) > len(number) else "")
+        )
+    return np.asarray(own[number])
+
+
+def _in_clock_of(sequence: Sequence, path: Path, camera_timestamps: Path, *, number: IntArray) -> Array:
     """Stamps of the samples in the clock of the sequence, ``(S,)`` [s]."""
-    own, camera = read_timestamps(path), read_timestamps(camera_timestamps)
-    if len(own) != samples:
-        raise DataError(f"{path}: must have a line for each of the {samples} files in data, got {len(own)}")
+    own, camera = _own_stamps(path, number), read_timestamps(camera_timestamps)
     if len(camera) != len(sequence):
         raise DataError(
             f"{camera_timestamps}: must have a line for each of the {len(sequence)} frames, got "

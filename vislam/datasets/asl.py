@@ -1,0 +1,123 @@
+"""Stereo images and inertial samples in the ASL layout: EuRoC, TUM-VI and whatever is exported like them.
+
+A folder ``mav0`` has ``cam0``, ``cam1`` and ``imu0``, each with ``data.csv`` (stamp in nanoseconds, then a
+file name or numbers) and ``sensor.yaml`` (Burri et al., *The EuRoC micro aerial vehicle datasets*, IJRR
+2016). Where there is no ``sensor.yaml`` for a camera, as in TUM-VI, a Kalibr ``camchain*.yaml`` in, beside or
+below the folder takes its place.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from vislam.base.errors import DataError
+from vislam.core.images import ImageRecording, Inertia, ReferenceFile
+from vislam.datasets.calibration_yaml import MountedCamera, imu_in_body, read_camchain, read_sensor
+from vislam.datasets.image_lists import NANOSECONDS, Listed, paired
+from vislam.datasets.text import read_lines, read_table
+from vislam.models.stereo_pair import rectified
+
+_REFERENCES = (
+    ("state_groundtruth_estimate0/data.csv", "euroc"),
+    ("mocap0/data.csv", "euroc"),
+    ("../groundtruth.tum", "tum"),
+)
+
+
+def is_asl(folder: Path) -> bool:
+    """Whether a folder, or its ``mav0``, is of this layout."""
+    return (_mav0(folder) / "cam0").is_dir()
+
+
+def _mav0(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def load_asl(folder: Path) -> ImageRecording:
+    """List a recording; no image is read.
+
+    Parameters
+    ----------
+    folder : Path
+        ``mav0``, or the one that holds it.
+
+    Raises
+    ------
+    DataError
+        If a camera, its calibration or its list is missing or cannot be right, or no pair is left.
+    """
+    mav0 = _mav0(folder)
+    left, right, counts = paired(_listed(mav0 / "cam0"), _listed(mav0 / "cam1"), where=mav0)
+    left_camera, right_camera = _cameras(mav0)
+    try:
+        pair = rectified(
+            left_camera.camera,
+            right_camera.camera,
+            imu_T_left=left_camera.imu_T_cam,
+            imu_T_right=right_camera.imu_T_cam,
+        )
+    except ValueError as error:
+        raise DataError(f"{mav0}: {error}; look at the extrinsics of both cameras") from None
+    inertia, dropped = _inertia(mav0 / "imu0") if (mav0 / "imu0").is_dir() else (None, {})
+    return ImageRecording(
+        name=mav0.absolute().parent.name if mav0.name == "mav0" else mav0.absolute().name,
+        stamp=np.asarray(left.stamp_ns * NANOSECONDS, dtype=np.float64),
+        left=left.paths,
+        right=right.paths,
+        pair=pair,
+        inertia=inertia,
+        reference=_reference(mav0),
+        counts={**counts, **dropped},
+    )
+
+
+def _listed(folder: Path) -> Listed:
+    """Stamps and files that ``data.csv`` lists."""
+    path = folder / "data.csv"
+    if not path.is_file():
+        raise DataError(
+            f"{path}: no such file; it must list stamp [ns] and file name of each image of {folder.name}"
+        )
+    stamps, paths = [], []
+    for number, line in read_lines(path):
+        stamp, comma, name = (part.strip() for part in line.partition(b","))
+        plain = name.decode(errors="replace")
+        if not (comma and stamp.isdigit() and len(stamp) < 20 and plain and "\0" not in plain):
+            shown = line[:40].decode(errors="replace")
+            raise DataError(f"{path}:{number}: must be a stamp [ns], a comma and a file name, got {shown!r}")
+        stamps.append(int(stamp))
+        paths.append(folder / "data" / plain)
+    return Listed(np.array(stamps, dtype=np.int64), tuple(paths))
+
+
+def _cameras(mav0: Path) -> tuple[MountedCamera, MountedCamera]:
+    paths = [mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")]
+    if all(path.is_file() for path in paths):
+        body = mav0 / "imu0" / "sensor.yaml"
+        body_T_imu = imu_in_body(body) if body.is_file() else np.eye(4)
+        left, right = (read_sensor(path, body_T_imu=body_T_imu) for path in paths)
+        return left, right
+    places = [
+        (folder, name) for folder in (mav0, mav0.parent) for name in ("camchain*.yaml", "*/camchain*.yaml")
+    ]
+    chains = [found for folder, name in places for found in sorted(folder.glob(name))]
+    if not chains:
+        missing = next(path for path in paths if not path.is_file())
+        raise DataError(f"{missing}: no such file, nor a camchain*.yaml of Kalibr; put the calibration there")
+    return read_camchain(chains[0])
+
+
+def _inertia(folder: Path) -> tuple[Inertia, dict[str, int]]:
+    """Gyro and accelerometer, sorted, one sample a stamp."""
+    table, _ = read_table(folder / "data.csv", columns=7, more=True, comma=True)
+    stamp, first = np.unique(table[:, 0], return_index=True)
+    if len(stamp) < 2:
+        raise DataError(f"{folder / 'data.csv'}: must have 2 samples or more, got {len(stamp)}")
+    listed, table = len(table), table[first]
+    counts = {"inertial_samples": len(stamp), "inertial_duplicates": listed - len(stamp)}
+    return Inertia(stamp * NANOSECONDS, table[:, 1:4], accelerometer=table[:, 4:7]), counts
+
+
+def _reference(mav0: Path) -> ReferenceFile | None:
+    found = ((mav0 / name, form) for name, form in _REFERENCES)
+    return next((ReferenceFile(path.resolve(), form) for path, form in found if path.is_file()), None)

@@ -1,0 +1,163 @@
+"""Cameras out of YAML: the ``sensor.yaml`` of the ASL layout, and the ``camchain`` of Kalibr."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vislam.base.errors import DataError, first_line
+from vislam.base.legible import brief
+from vislam.base.types import Array
+from vislam.base.yaml_text import MOST_CHARACTERS, parse_yaml
+from vislam.geometry import se3, so3
+from vislam.models.camera import Camera, Lens
+
+_LENSES = {
+    "radial-tangential": Lens.RADTAN,
+    "radtan": Lens.RADTAN,
+    "plumb_bob": Lens.RADTAN,
+    "equidistant": Lens.KANNALA_BRANDT,
+    "kannala_brandt": Lens.KANNALA_BRANDT,
+    "none": Lens.NONE,
+    "": Lens.NONE,
+}
+_ROTATION_TOLERANCE = 1e-3
+_LARGEST_IMAGE = 1 << 15
+_HEADER = "%YAML"
+
+
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera and its pose in the frame of the inertial sensor."""
+
+    camera: Camera
+    imu_T_cam: Array
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Read a YAML file that is a mapping; OpenCV's first line is passed over."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(MOST_CHARACTERS + 1)
+    except (OSError, UnicodeError) as error:
+        raise DataError(f"{path}: cannot be read ({first_line(error)})") from None
+    if text.startswith(_HEADER):
+        text = text.partition("\n")[2]
+    try:
+        tree = parse_yaml(text)
+    except ValueError as error:
+        raise DataError(f"{path}: not YAML that can be read ({error})") from None
+    if not isinstance(tree, dict):
+        raise DataError(f"{path}: must be a mapping, got {brief(str(tree))}")
+    return tree
+
+
+def read_sensor(path: Path, *, body_T_imu: Array) -> MountedCamera:
+    """Read the ``sensor.yaml`` of a camera; ``T_BS`` is its pose in the body."""
+    tree = read_mapping(path)
+    model = tree.get("camera_model", "pinhole")
+    if model != "pinhole":
+        raise DataError(f"{path}: camera_model must be pinhole, got {brief(str(model))}")
+    camera = _camera(
+        path,
+        resolution=tree.get("resolution"),
+        intrinsics=tree.get("intrinsics"),
+        lens=tree.get("distortion_model", "none"),
+        coefficients=tree.get("distortion_coefficients", []),
+    )
+    return MountedCamera(camera, se3.inverse(body_T_imu) @ _body_T_sensor(path, tree))
+
+
+def imu_in_body(path: Path) -> Array:
+    """Pose of the inertial sensor in the body, ``(4, 4)``; the identity if ``sensor.yaml`` has none."""
+    tree = read_mapping(path)
+    return _body_T_sensor(path, tree) if "T_BS" in tree else np.eye(4)
+
+
+def read_camchain(path: Path) -> tuple[MountedCamera, MountedCamera]:
+    """Read the first two cameras of a Kalibr ``camchain`` file.
+
+    ``T_cam_imu`` is the inertial sensor's pose in the camera, ``T_cn_cnm1`` the camera before in it. Without
+    the former, as in a camchain of cameras alone, the left camera's axes are taken for the body's.
+    """
+    tree = read_mapping(path)
+    found, poses = [], []
+    for name in ("cam0", "cam1"):
+        one = tree.get(name)
+        if not isinstance(one, dict):
+            raise DataError(f"{path}: must have cam0 and cam1, {name} is missing")
+        if one.get("camera_model", "pinhole") != "pinhole":
+            raise DataError(
+                f"{path}: {name}.camera_model must be pinhole, got {brief(str(one['camera_model']))}"
+            )
+        found.append(
+            _camera(
+                path,
+                resolution=one.get("resolution"),
+                intrinsics=one.get("intrinsics"),
+                lens=one.get("distortion_model", "none"),
+                coefficients=one.get("distortion_coeffs", []),
+            )
+        )
+        if "T_cam_imu" in one:
+            poses.append(se3.inverse(_matrix(path, f"{name}.T_cam_imu", one["T_cam_imu"])))
+        elif not poses:
+            poses.append(np.eye(4))
+        elif "T_cn_cnm1" in one:
+            poses.append(poses[-1] @ se3.inverse(_matrix(path, f"{name}.T_cn_cnm1", one["T_cn_cnm1"])))
+        else:
+            raise DataError(f"{path}: {name} must have T_cam_imu or T_cn_cnm1")
+    return MountedCamera(found[0], poses[0]), MountedCamera(found[1], poses[1])
+
+
+def _camera(path: Path, *, resolution: Any, intrinsics: Any, lens: Any, coefficients: Any) -> Camera:
+    width, height = _numbers(path, "resolution", resolution, (2,))
+    fx, fy, cx, cy = _numbers(path, "intrinsics", intrinsics, (4,))
+    if not (1 <= width <= _LARGEST_IMAGE and 1 <= height <= _LARGEST_IMAGE and min(fx, fy) >= 1.0):
+        raise DataError(
+            f"{path}: resolution must be two sizes and intrinsics fx, fy >= 1 [px], "
+            f"got {width:g} x {height:g}, fx {fx:g}, fy {fy:g}"
+        )
+    model = _LENSES.get(str(lens).lower())
+    if model is None:
+        raise DataError(
+            f"{path}: distortion_model must be radial-tangential or equidistant, got {brief(str(lens))}"
+        )
+    values = _numbers(path, "distortion coefficients", coefficients, (0, 4, 5))
+    if model is Lens.NONE or not any(values):
+        return Camera(int(width), int(height), fx, fy, cx, cy)
+    if len(values) not in model.counts:
+        wanted = " or ".join(map(str, model.counts))
+        raise DataError(f"{path}: distortion coefficients must be {wanted} numbers, got {len(values)}")
+    return Camera(int(width), int(height), fx, fy, cx, cy, model, tuple(values))
+
+
+def _numbers(path: Path, name: str, value: Any, counts: tuple[int, ...]) -> list[float]:
+    good = isinstance(value, list) and all(
+        isinstance(one, int | float) and not isinstance(one, bool) and np.isfinite(one) for one in value
+    )
+    if not good or len(value) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise DataError(f"{path}: {name} must be a list of {wanted} numbers, got {brief(str(value))}")
+    return [float(one) for one in value]
+
+
+def _body_T_sensor(path: Path, tree: dict[str, Any]) -> Array:
+    value = tree.get("T_BS")
+    return _matrix(path, "T_BS", value.get("data") if isinstance(value, dict) else value)
+
+
+def _matrix(path: Path, name: str, value: Any) -> Array:
+    """Rigid transform out of 16 numbers in a row, or four rows of four."""
+    if isinstance(value, list) and len(value) == 4 and all(isinstance(row, list) for row in value):
+        value = [one for row in value for one in row]
+    pose = np.array(_numbers(path, name, value, (16,))).reshape(4, 4)
+    if not bool(se3.is_rigid(pose, tolerance=_ROTATION_TOLERANCE)):
+        off, determinant = so3.defect(pose[:3, :3])
+        raise DataError(
+            f"{path}: {name} must be a rigid transform, got R^T R off by {off:.2g}, determinant "
+            f"{determinant:.3g}"
+        )
+    u, _, vt = np.linalg.svd(pose[:3, :3])
+    return se3.from_rotation_translation(u @ vt, pose[:3, 3])

@@ -1,0 +1,93 @@
+"""Lists of images of two cameras: sorted, looked for on the disk, and paired by their stamps."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vislam.base.errors import DataError
+from vislam.base.types import BoolArray, IntArray
+
+NANOSECONDS = 1e-9
+_FEWEST = 2
+_APART = 0.1
+"""Share of the usual time between images by which the stamps of a pair may differ."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Images of one camera as its recording lists them.
+
+    Attributes
+    ----------
+    stamp_ns : (n,)
+        [ns].
+    paths : tuple of Path
+    """
+
+    stamp_ns: IntArray
+    paths: tuple[Path, ...]
+
+    def of(self, rows: "IntArray | BoolArray") -> "Listed":
+        """The images of a mask or of indices."""
+        chosen = np.arange(len(self.paths))[rows]
+        return Listed(self.stamp_ns[rows], tuple(self.paths[row] for row in chosen))
+
+
+def paired(left: Listed, right: Listed, *, where: Path) -> tuple[Listed, Listed, dict[str, int]]:
+    """Pairs of images that are there, in the order of their stamps, with counts of what is left out.
+
+    A left image belongs to the right one nearest in time, if that is within a tenth of the usual time between
+    images.
+
+    Raises
+    ------
+    DataError
+        If fewer than two pairs are left.
+    """
+    counts = {"images_listed": len(left.paths) + len(right.paths)}
+    for side, listed in (("left", left), ("right", right)):
+        counts[f"images_out_of_order_{side}"] = int(np.sum(np.diff(listed.stamp_ns) < 0))
+    left, right = _sorted(left), _sorted(right)
+    counts["images_duplicate"] = counts["images_listed"] - len(left.paths) - len(right.paths)
+    present = [_present(listed) for listed in (left, right)]
+    for side, mask in zip(("left", "right"), present, strict=True):
+        counts[f"images_missing_{side}"] = int(np.sum(~mask))
+    left, right = left.of(present[0]), right.of(present[1])
+    rows, partners = _matched(left.stamp_ns, right.stamp_ns)
+    counts["images_unpaired"] = len(left.paths) + len(right.paths) - 2 * len(rows)
+    counts["pairs"] = len(rows)
+    if len(rows) < _FEWEST:
+        told = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise DataError(f"{where}: must have {_FEWEST} pairs of images or more, got {len(rows)} ({told})")
+    return left.of(rows), right.of(partners), counts
+
+
+def _sorted(listed: Listed) -> Listed:
+    """In the order of the stamps, the first image of each."""
+    _, first = np.unique(listed.stamp_ns, return_index=True)
+    return listed.of(first)
+
+
+def _present(listed: Listed) -> BoolArray:
+    """Which of the files are there; each folder is listed once."""
+    folders = {path.parent for path in listed.paths}
+    names = {
+        folder: {entry.name for entry in folder.iterdir()} if folder.is_dir() else set() for folder in folders
+    }
+    return np.array([path.name in names[path.parent] for path in listed.paths], dtype=bool)
+
+
+def _matched(left: IntArray, right: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of both images of each pair, stamps increasing."""
+    nothing = np.empty(0, np.int64)
+    if not len(left) or not len(right):
+        return nothing, nothing
+    usual = float(np.median(np.diff(left))) if len(left) > 1 else np.inf
+    after = np.clip(np.searchsorted(right, left), 1, max(len(right) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(right) - 1)
+    nearest = np.where(np.abs(right[before] - left) <= np.abs(right[after] - left), before, after)
+    rows = np.flatnonzero(np.abs(right[nearest] - left) <= _APART * usual)
+    _, once = np.unique(nearest[rows], return_index=True)
+    return rows[once], nearest[rows[once]]
