@@ -32,8 +32,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(prog="python -m vislam.compare", description=__doc__)
-    add_config_options(parser)
+    add_config_options(parser, required=False)
     add = parser.add_argument
+    add(
+        "--data",
+        type=Path,
+        metavar="PATH",
+        help="a folder of stereo images, or a file of tracks, in place of a config: one is made, printed and "
+        "saved in --out",
+    )
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
@@ -50,6 +57,7 @@ def _parser() -> Parser:
 
 def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
+    from vislam.base.errors import ConfigError  # noqa: PLC0415
     from vislam.comparison import config as configuration  # noqa: PLC0415
 
     refuse_bad_check_options(options)
@@ -57,6 +65,12 @@ def _compare(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--workers is the number of processes of --robustness, 1 or more; got {options.workers}"
         )
+    if (options.data is None) == (options.config is None):
+        raise ConfigError("a config is required, or --data with a recording; give one of them")
+    if options.data is not None:
+        from vislam.cli.own_data import config_of  # noqa: PLC0415
+
+        options.config = config_of(options.data, out=options.out)
     config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]

@@ -43,8 +43,8 @@ _SMALLEST_FLOW_PX = 1.0
 _EXPLAINED = 0.25
 """A rigid motion explains the flow when it leaves less than this share of it."""
 _SIGNIFICANT = 5.0
-_NOTHING = 1e-6
-"""Below it the inertial samples are zero, which is no unit."""
+NOTHING = 1e-6
+"""Below it the inertial samples are zero, which is no unit: such a velocity was not measured."""
 SPEEDS = {"km/h": 3.6, "mph": 2.237, "knots": 1.944, "feet a second": 3.281, "cm/s": 100.0, "mm/s": 1000.0}
 DEGREES = float(np.degrees(1.0))
 
@@ -247,9 +247,9 @@ def _against_camera(seen: Ratios) -> list[Implausible]:
             )
         ]
     found = []
-    if distance is not None and distance > _NOTHING:
+    if distance is not None and distance > NOTHING:
         found.append(Implausible(distance_text(distance), distance_guess(distance)))
-    if turn is not None and turn > _NOTHING:
+    if turn is not None and turn > NOTHING:
         found.append(Implausible(turn_text(turn), turn_guess(turn)))
     elif np.isnan(seen.turn) and seen.turn_least > _LEAST_RATIO and not seen.distance > _ALONE:
         found.append(Implausible(turn_text(seen.turn_least, bound="at least "), turn_guess(DEGREES)))

@@ -70,8 +70,10 @@ def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
     farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
     widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn
     widest = np.maximum(widest, _SMALLEST_TURN)
+    # A velocity of exactly 0 in every step was not measured, and allows no judgement of a distance.
+    steps = _beyond("steps", moved, farthest, inertial=way[frame], frame=frame, unit="m") if way.any() else ()
     return (
-        *_beyond("steps", moved, farthest, inertial=way[frame], frame=frame, unit="m"),
+        *steps,
         *_beyond("turns", turned, widest, inertial=turn[frame], frame=frame, unit="rad"),
     )
 

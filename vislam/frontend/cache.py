@@ -69,11 +69,12 @@ def tracks_of(
 
 def copy_tracks(source: Path, target: Path) -> None:
     """Copy a file of tracks and what lies beside it."""
-    from vislam.frontend.track_file import quality_path, summary_path  # noqa: PLC0415
+    from vislam.frontend.track_file import quality_path, reference_path, summary_path  # noqa: PLC0415
 
-    for part in (quality_path, summary_path, lambda path: path):
-        with replace_whole(part(target)) as temporary:
-            shutil.copyfile(part(source), temporary)
+    for part in (quality_path, summary_path, reference_path, lambda path: path):
+        if part(source).is_file():
+            with replace_whole(part(target)) as temporary:
+                shutil.copyfile(part(source), temporary)
 
 
 def _digest(recording: ImageRecording, config: FrontEndConfig, progress: Progress) -> str:

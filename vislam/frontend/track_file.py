@@ -10,6 +10,7 @@ import numpy as np
 from vislam.base.files import replace_whole, write_text
 from vislam.base.types import Array
 from vislam.core.images import ImageRecording, StampedPoses
+from vislam.datasets.export import write_tum
 from vislam.frontend.settings import FrontEndConfig
 from vislam.frontend.track import Tracked, reference_frames
 
@@ -26,14 +27,19 @@ def summary_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_front_end.json")
 
 
-def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, config: FrontEndConfig) -> None:
-    """Write the tracks, and beside them ``*_quality.npz`` and ``*_front_end.json``.
+def reference_path(path: Path) -> Path:
+    """File beside the tracks with the reference poses that were made of the recording, if it has any."""
+    return path.with_name(f"{path.stem}_reference.tum")
 
-    The first is the open track format (``docs/reference/track_format.md``), with the reference poses that
-    came with the images. The second has ``forward_backward_px (n, 2)``, in the order of its rows: the
-    distance there and back of each observation from the frame before (0 for the first of a track) and to the
-    right image, and ``life (n,)``, the observations of its track. The third has the settings, counts and
-    figures.
+
+def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, config: FrontEndConfig) -> None:
+    """Write the tracks, and what belongs to them in files beside.
+
+    The tracks are in the open track format (``docs/reference/track_format.md``), with the reference poses that
+    were made of the recording; these go into ``*_reference.tum``, too. ``*_quality.npz`` has
+    ``forward_backward_px (n, 2)``, in the order of the observations: the distance there and back of each from
+    the frame before (0 for the first of a track) and to the right image; and ``life (n,)``, the observations
+    of its track. ``*_front_end.json`` has the settings, counts and figures.
     """
     sequence, rig = tracked.sequence, tracked.sequence.rig
     arrays: dict[str, Array | np.ndarray[Any, Any]] = {
@@ -65,6 +71,8 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, confi
         "velocity": recording.inertia is not None and recording.inertia.velocity is not None,
         "levelled": recording.levelled,
     }
+    if isinstance(recording.reference, StampedPoses):
+        write_tum(reference_path(path), recording.reference.stamp, recording.reference.world_T_imu)
     _write_arrays(quality_path(path), quality)
     write_text(summary_path(path), json.dumps(summary, indent=2) + "\n")
     _write_arrays(path, arrays)

@@ -6,6 +6,7 @@ import numpy as np
 
 from vislam.comparison.plausibility import (
     DEGREES,
+    NOTHING,
     Ratios,
     distance_guess,
     distance_text,
@@ -72,6 +73,9 @@ def _refused(text: str) -> str:
 def _against_camera(ratios: Ratios) -> Finding:
     """Ratios that are off by a factor, but by no order of magnitude."""
     counts = {"distance_ratio": ratios.distance, "turn_ratio": ratios.turn, "frames": ratios.frames}
+    without_velocity = ratios.distance < NOTHING
+    if without_velocity:
+        ratios = replace(ratios, distance=float("nan"), distance_spread=float("inf"))
     steady = ratios.distance_spread < _STEADY and ratios.turn_spread < _STEADY
     apart = abs(np.log(max(ratios.turn, 1e-12)) - np.log(max(ratios.distance, 1e-12)))
     off = []
@@ -88,6 +92,7 @@ def _against_camera(ratios: Ratios) -> Finding:
         return Finding("units", "unclear", text, counts=counts)
     seen = [distance_text(ratios.distance)] if np.isfinite(ratios.distance) else []
     seen += [turn_text(ratios.turn)] if np.isfinite(ratios.turn) else []
+    seen += ["the velocity is 0 throughout: none was recorded"] if without_velocity else []
     return Finding("units", "ok", "; ".join(seen), counts=counts)
 
 

@@ -1,0 +1,150 @@
+"""From a path to a config: tracks of images, inspected, with what was measured of them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vislam.base import settings
+from vislam.base.errors import DataError
+from vislam.base.files import check_writable, write_text
+from vislam.base.settings import LONGEST_NAME
+from vislam.base.types import Array
+from vislam.cli.console import Terminal
+from vislam.cli.track import told
+from vislam.comparison import config as configuration
+from vislam.comparison.open import open_dataset
+from vislam.core.images import ImageRecording, ReferenceFile
+from vislam.core.rigid_fit import continuations, rigid_fits
+from vislam.core.sequence import Sequence
+from vislam.datasets.images import is_images, open_images
+from vislam.frontend.cache import copy_tracks, tracks_of
+from vislam.frontend.settings import FrontEndConfig
+from vislam.inspection import inspect_sequence
+from vislam.inspection.checks import bare_tree, unrepaired
+from vislam.inspection.finding import Inspection
+from vislam.inspection.written import proposed_config
+
+_ESTIMATORS: dict[str, dict[str, Any]] = {
+    "dead_reckoning": {},
+    "stereo_vo": {},
+    "ekf_invariant": {},
+    "eks": {},
+    "isam2": {},
+}
+_UNKNOWING = 10.0
+"""Standard deviation of a step by a velocity that nobody measured, in fast steps as the camera sees them."""
+_FAST = 95.0
+"""Percentile of the steps that is a fast one."""
+_KNOWN = 1e-3
+"""Prior standard deviation of the bias of such a velocity [m/s]: it is beyond its noise already."""
+_GYRO = 3
+
+
+def config_of(data: Path, *, out: Path) -> Path:
+    """Make a config for a recording, print it and save it in the folder of the results.
+
+    Parameters
+    ----------
+    data : Path
+        A folder of stereo images, of which tracks are made first, or a file of tracks.
+    out : Path
+        Folder of the results; the tracks are copied into it, too.
+
+    Returns
+    -------
+    Path
+        The saved config.
+    """
+    terminal = Terminal()
+    if data.is_dir() and not is_images(data):
+        open_images(data)
+    if not data.exists():
+        raise DataError(f"{data}: not found; name a folder of stereo images, or a file of tracks")
+    tree, levelled, velocity = bare_tree(data.stem, str(data.resolve())), False, True
+    if data.is_dir():
+        tree, levelled, velocity = _tracked(open_images(data), out, terminal)
+    path = out / f"{tree['name']}.yaml"
+    check_writable(path)
+    config = settings.parse(configuration.Config, tree)
+    dataset = open_dataset(unrepaired(config).data, seed=config.seed, config_dir=out)
+    result = inspect_sequence(dataset.sequence, config)
+    for finding in result.findings:
+        terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
+    if not velocity:
+        tree = _without_velocity(tree, result, dataset.sequence)
+        text = configuration.dump(settings.parse(configuration.Config, tree))
+    else:
+        if levelled:
+            settings.put(tree, "data.repair.levelled_velocity", True)
+        text = proposed_config(tree, result, folders=[out, Path()], written_to=path)
+    write_text(path, text)
+    terminal.note(f"config, saved as {path}:")
+    for line in text.splitlines():
+        terminal.note(f"  {line}")
+    return path
+
+
+def _tracked(recording: ImageRecording, out: Path, terminal: Terminal) -> tuple[dict[str, Any], bool, bool]:
+    """Tracks of images in the folder of the results, and the config that reads them."""
+    made_path, made = tracks_of(recording, FrontEndConfig(), progress=terminal)
+    path = out / f"{recording.name}_tracks.npz"
+    check_writable(path)
+    copy_tracks(made_path, path)
+    summary = json.loads(path.with_name(f"{path.stem}_front_end.json").read_text(encoding="utf-8"))
+    for line in told(summary, made=made):
+        terminal.note(line)
+    tree = bare_tree(recording.name, str(path.resolve()))
+    tree["name"] = recording.name[:LONGEST_NAME]
+    tree["estimators"] = _ESTIMATORS
+    reference = recording.reference
+    if isinstance(reference, ReferenceFile):
+        tree["data"]["reference"] = {
+            "file": str(reference.path),
+            "format": reference.format,
+            "name": reference.path.name,
+            "limits": "as it lay beside the images",
+        }
+    elif reference is not None and len(reference.stamp) > 1:
+        tree["data"]["reference"] = {
+            "file": str(path.with_name(f"{path.stem}_reference.tum").resolve()),
+            "format": "tum",
+            "name": "OXTS",
+            "limits": reference.origin,
+        }
+    return tree, bool(summary["levelled"]), bool(summary["velocity"])
+
+
+def _without_velocity(tree: dict[str, Any], result: Inspection, sequence: Sequence) -> dict[str, Any]:
+    """Config for tracks and a gyro: what was measured of these, and a velocity so noisy that it says nothing.
+
+    Nothing is taken over that was told by a velocity of 0: axes, clock, scale, and its own noise and bias.
+    """
+    found = {**result.settings, **result.proposal}
+    for dotted in ("noise.pixel_sigma_px", "noise.drift_px", "noise.match_px"):
+        if dotted in found:
+            settings.put(tree, dotted, found[dotted])
+    settings.put(tree, "data.repair", {"disparity": True, "consensus": True, "stale_tracks": False})
+    default = configuration.NoiseConfig()
+    gyro = {
+        "twist_density": found.get("noise.twist_density", default.twist_density)[:_GYRO],
+        "bias_mean": found.get("noise.bias_mean", default.bias_mean)[:_GYRO],
+        "bias_sigma": found.get("noise.bias_sigma", default.bias_sigma)[:_GYRO],
+    }
+    density = _unknowing_density(sequence)
+    settings.put(tree, "noise.twist_density", [*gyro["twist_density"], density, density, density])
+    settings.put(tree, "noise.bias_mean", [*gyro["bias_mean"], 0.0, 0.0, 0.0])
+    settings.put(tree, "noise.bias_sigma", [*gyro["bias_sigma"], _KNOWN, _KNOWN, _KNOWN])
+    return tree
+
+
+def _unknowing_density(sequence: Sequence) -> float:
+    """White noise of a velocity that was not measured [m/sqrt(s)], from the steps that the camera sees."""
+    possible = sequence.select(sequence.disparity > 0.0)
+    fits = rigid_fits(possible, continuations(possible))
+    if not fits:
+        raise DataError(f"{sequence.name}: must have frames whose tracks agree on a motion, got none")
+    steps: Array = np.array([np.linalg.norm(fit.next_T_prev[:3, 3]) for fit in fits.values()])
+    period = float(np.median(np.diff(sequence.stamp)))
+    return float(f"{_UNKNOWING * np.percentile(steps, _FAST) / np.sqrt(period):.3g}")
