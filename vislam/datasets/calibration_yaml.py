@@ -134,13 +134,19 @@ def _camera(path: Path, *, resolution: Any, intrinsics: Any, lens: Any, coeffici
 
 
 def _numbers(path: Path, name: str, value: Any, counts: tuple[int, ...]) -> list[float]:
-    good = isinstance(value, list) and all(
-        isinstance(one, int | float) and not isinstance(one, bool) and np.isfinite(one) for one in value
-    )
-    if not good or len(value) not in counts:
+    numbers = [_number(one) for one in value] if isinstance(value, list) else []
+    if not isinstance(value, list) or len(value) not in counts or not np.all(np.isfinite(numbers)):
         wanted = " or ".join(map(str, counts))
         raise DataError(f"{path}: {name} must be a list of {wanted} numbers, got {brief(str(value))}")
-    return [float(one) for one in value]
+    return numbers
+
+
+def _number(value: Any) -> float:
+    """Number of a scalar, NaN if it is none; YAML takes 2e-05, which has no dot, for text."""
+    try:
+        return float("nan") if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
 
 
 def _body_T_sensor(path: Path, tree: dict[str, Any]) -> Array:
