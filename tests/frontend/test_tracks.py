@@ -23,7 +23,7 @@ def raw_pixels(tracked, drive):
 
 
 def test_pixels_are_those_of_one_point_of_the_world(tracked, drive):
-    """A patch is moved, not warped, so a track drifts where perspective changes by 6 % a frame, as it does here."""
+    """A patch is moved, not warped: a track drifts where perspective changes by 6 % a frame, as here."""
     sequence, left = tracked.sequence, raw_pixels(tracked, drive)[0]
     first, frame, age = sequence.first_rows(), sequence.frame_of, sequence.age()
     error = np.zeros(len(left))

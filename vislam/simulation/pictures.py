@@ -1,7 +1,7 @@
 """Pictures of textured planes along a path, of which every track is known exactly.
 
-Every pixel is the texture where its own ray meets the nearest plane, so lens, baseline and pose are exact; the textures are
-smooth, so that a pixel is wide enough a sample of them.
+Every pixel is the texture where its own ray meets the nearest plane, so lens, baseline and pose are exact;
+the textures are smooth, so that a pixel is wide enough a sample of them.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class TexturedPlane:
     texture: Array
 
     def distance(self, origin: Array, rays: Array) -> Array:
-        """How many ray lengths ``(n,)`` from a point each of rays ``(n, 3)`` meets it; infinite if it does not."""
+        """Distance ``(n,)`` from a point along rays ``(n, 3)``, in ray lengths, infinite if none."""
         normal = np.cross(self.across, self.along)
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = ((self.origin - origin) @ normal) / (rays @ normal)
@@ -138,7 +138,7 @@ class Studio:
         return (self.pair.left, self.pair.right)[side]
 
     def _rays(self, world_T_imu: Array, side: int, normalised: Array) -> tuple[Array, Array]:
-        """Centre of a camera ``(3,)`` and rays ``(n, 3)``, in the world, of points ``(n, 2)`` of its plane z = 1."""
+        """Centre of a camera ``(3,)`` and rays ``(n, 3)`` in the world of normalised points ``(n, 2)``."""
         pair = self.pair
         turn = (pair.rect_R_left, pair.rect_R_right)[side]
         ahead = np.column_stack([normalised, np.ones(len(normalised))])
