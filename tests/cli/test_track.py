@@ -17,7 +17,7 @@ SET = ["--set", "features=60", "--set", "window_px=15"]
 def folder(tmp_path_factory):
     from tests.frontend.studio import rendered, write_asl
 
-    return write_asl(tmp_path_factory.mktemp("run"), rendered(4))
+    return write_asl(tmp_path_factory.mktemp("run"), rendered(5))
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,7 @@ def own_cache(monkeypatch, tmp_path):
 def test_tracks_are_written_and_found_again(folder, tmp_path, capsys):
     assert main(["track", str(folder), "-o", "a.npz", *SET]) == 0
     first = capsys.readouterr().out
-    assert "4 frames" in first
+    assert "5 frames" in first
     assert "frames/s" in first
     assert "NO VELOCITY was recorded" in first
     with np.load("a.npz") as file:
@@ -39,7 +39,7 @@ def test_tracks_are_written_and_found_again(folder, tmp_path, capsys):
         rows = len(file["frame"])
     with np.load("a_quality.npz") as file:
         assert file["forward_backward_px"].shape == (rows, 2)
-        assert file["life"].min() >= 3
+        assert file["life"].min() >= 4
     summary = json.loads((tmp_path / "a_front_end.json").read_text())
     assert summary["settings"]["features"] == 60
     assert main(["track", str(folder), "-o", "b.npz", *SET]) == 0

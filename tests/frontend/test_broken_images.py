@@ -143,5 +143,5 @@ def test_blank_images_leave_no_track(folder):
     for camera in ("cam0", "cam1"):
         for path in images(folder, camera):
             assert cv2.imwrite(str(path), np.full((200, 320), 90, np.uint8))
-    with pytest.raises(DataError, match="no track of 3 observations was found"):
+    with pytest.raises(DataError, match="no track of 4 observations was found"):
         counts_of(folder)

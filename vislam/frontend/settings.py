@@ -51,7 +51,7 @@ class FrontEndConfig:
     row_correction: bool = True
     """Whether the right camera is turned, by less than a degree, so that rows agree in the mean; what was
     found stands in the counts."""
-    fewest_observations: Annotated[int, Field(ge=1)] = 3
+    fewest_observations: Annotated[int, Field(ge=1)] = 4
     """Tracks with fewer are left out."""
     seed: Seed = 0
     """Seed of the draws of the consensus."""

@@ -16,7 +16,8 @@ from vislam.frontend.gyro import Turns
 from vislam.frontend.pictures import Pictures
 from vislam.frontend.rows import row_rotation
 from vislam.frontend.settings import FrontEndConfig
-from vislam.frontend.tracker import Tracker, Tracks
+from vislam.frontend.tracker import Tracker
+from vislam.frontend.tracks import Tracks
 from vislam.models.stereo_pair import StereoPair
 
 _FEWEST = 2

@@ -5,13 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vislam.base.types import Array, BoolArray, IntArray
+from vislam.base.types import Array
 from vislam.frontend.consensus import agree
 from vislam.frontend.corners import cells, new_corners
 from vislam.frontend.flow import follow, within
 from vislam.frontend.gyro import Turns
 from vislam.frontend.pictures import Picture
 from vislam.frontend.settings import FrontEndConfig
+from vislam.frontend.stereo import Matches, carried, matched
+from vislam.frontend.tracks import Tracks
 from vislam.geometry import se3
 from vislam.models.stereo_pair import StereoPair
 
@@ -23,59 +25,9 @@ _HELD, _MANY = 0.1, 20
 
 
 @dataclass(frozen=True)
-class Tracks:
-    """Tracks in view in one frame.
-
-    Attributes
-    ----------
-    track : (n,)
-        Ids; one that is missing once never comes back.
-    left, right : (n, 2)
-        Pixels in the images as they are [px].
-    pixels : (n, 4)
-        Rectified (uL, vL, uR, vR) [px].
-    distance : (n, 2)
-        Forward-backward distance from the frame before (0 for a new track) and to the right image [px].
-    """
-
-    track: IntArray
-    left: Array
-    right: Array
-    pixels: Array
-    distance: Array
-
-    @classmethod
-    def none(cls) -> "Tracks":
-        """No track."""
-        two = np.empty((0, 2))
-        return cls(np.empty(0, np.int64), two, two, np.empty((0, 4)), two)
-
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.track)
-
-    def of(self, keep: BoolArray) -> "Tracks":
-        """The tracks of a mask."""
-        return Tracks(
-            self.track[keep], self.left[keep], self.right[keep], self.pixels[keep], self.distance[keep]
-        )
-
-    def with_more(self, other: "Tracks") -> "Tracks":
-        """These and others."""
-        return Tracks(
-            np.concatenate([self.track, other.track]),
-            np.vstack([self.left, other.left]),
-            np.vstack([self.right, other.right]),
-            np.vstack([self.pixels, other.pixels]),
-            np.vstack([self.distance, other.distance]),
-        )
-
-    @property
-    def z(self) -> Array:
-        """Stereo measurements (uL, uR, v), ``(n, 3)`` [px]."""
-        return np.column_stack(
-            [self.pixels[:, 0], self.pixels[:, 2], 0.5 * (self.pixels[:, 1] + self.pixels[:, 3])]
-        )
+class _Pair:
+    left: Picture
+    right: Picture
 
 
 @dataclass
@@ -97,7 +49,7 @@ class Tracker:
     turns: Turns | None = None
     counts: Counter[str] = field(default_factory=Counter)
     _tracks: Tracks = field(default_factory=Tracks.none)
-    _picture: Picture | None = None
+    _before: _Pair | None = None
     _stamp: float = 0.0
     _velocity: Array = field(default_factory=lambda: np.zeros(6))
     _next_id: int = 0
@@ -122,12 +74,12 @@ class Tracker:
             Increasing [s].
         """
         kept = self._tracks
-        if self._picture is not None and len(kept):
+        if self._before is not None and len(kept):
             dt = stamp - self._stamp
             guess = se3.exp(self._velocity * dt)
             if self.turns is not None:
                 guess[:3, :3] = self.turns.between(self._stamp, stamp).T
-            kept, motion = self._followed(self._picture, left, right, guess=guess)
+            kept, motion = self._followed(self._before, left, right, guess=guess)
             if len(kept) < _HELD * len(self._tracks) and len(self._tracks) >= _MANY and not self._held:
                 self._held = True
                 self.counts["frames_held"] += 1
@@ -140,43 +92,57 @@ class Tracker:
         self._learn_yield(kept)
         if len(kept) < self.config.redetect_below * self.config.features:
             kept = kept.with_more(self._found(left, right, kept))
-        self._picture, self._tracks, self._stamp = left, kept, stamp
+        self._before, self._tracks, self._stamp = _Pair(left, right), kept, stamp
         return kept
 
     def _followed(
-        self, before: Picture, left: Picture, right: Picture, *, guess: Array
+        self, before: _Pair, left: Picture, right: Picture, *, guess: Array
     ) -> tuple[Tracks, Array | None]:
         """Tracks that go on, and the camera's motion ``next_T_prev`` that they agree on, if there is one."""
-        old = self._tracks
-        points = se3.transform(guess, self.pair.rig.back_project(old.z))
+        old, config, rig = self._tracks, self.config, self.pair.rig
+        points = se3.transform(guess, rig.back_project(old.z))
         supposed = self._seen(points, left)
-        start = np.where(np.isnan(supposed), old.left, supposed)
-        config = self.config
         end, distance, found = follow(
-            before,
+            before.left,
             left,
             old.left,
-            guess=start,
+            guess=np.where(np.isnan(supposed), old.left, supposed),
             levels=config.predicted_levels,
             farthest=config.forward_backward_px,
             config=config,
         )
         self.counts["tracks_lost"] += int(np.sum(~found))
         old, points, end, distance = old.of(found), points[found], end[found], distance[found]
-        disparity = (
-            self.pair.rig.fx * self.pair.rig.baseline / np.maximum(points[:, 2], self.pair.rig.nearest)
+        disparity = rig.fx * rig.baseline / np.maximum(points[:, 2], rig.nearest)
+        new = self._stereo(before, _Pair(left, right), old, end=end, disparity=disparity)
+        self.counts["tracks_without_stereo"] += int(np.sum(~new.valid))
+        kept = Tracks(old.track, end, new.right, new.pixels, np.column_stack([distance, new.distance])).of(
+            new.valid
         )
-        new, matched = self._matched(
-            left, right, end, disparity=disparity, distance=distance, track=old.track
-        )
-        self.counts["tracks_without_stereo"] += int(np.sum(~matched))
-        old, new = old.of(matched), new.of(matched)
-        agreed = agree(self.pair.rig, old.z, new.z, guess=guess, config=self.config, rng=self._rng)
+        old = old.of(new.valid)
+        agreed = agree(rig, old.z, kept.z, guess=guess, config=config, rng=self._rng)
         if agreed is None:
             self.counts["frames_without_consensus"] += 1
-            return new, None
+            return kept, None
         self.counts["tracks_off_consensus"] += int(np.sum(~agreed.keeps))
-        return new.of(agreed.keeps), agreed.next_T_prev
+        return kept.of(agreed.keeps), agreed.next_T_prev
+
+    def _stereo(self, before: _Pair, now: _Pair, old: Tracks, *, end: Array, disparity: Array) -> Matches:
+        """Right pixels of tracks by a match of both images, and, where that fails, carried on."""
+        config, pair = self.config, self.pair
+        new = matched(pair, now.left, now.right, end, disparity=disparity, known=True, config=config)
+        rest = ~new.valid
+        again = carried(
+            pair,
+            before.right,
+            now.right,
+            end[rest],
+            start=old.right[rest],
+            disparity=disparity[rest],
+            config=config,
+        )
+        self.counts["matches_carried"] += int(np.sum(again.valid))
+        return new.completed(rest, again)
 
     def _seen(self, points: Array, left: Picture) -> Array:
         """Pixels ``(n, 2)`` in the left image of points in the rectified left camera, NaN outside of it."""
@@ -190,21 +156,20 @@ class Tracker:
 
     def _found(self, left: Picture, right: Picture, kept: Tracks) -> Tracks:
         """New tracks, matched."""
-        wanted = self.config.features - len(kept)
-        corners = new_corners(left, kept.left, config=self.config, wanted=wanted, yield_of=self._yield)
-        disparity = self._usual_disparity(kept, len(corners))
-        new, matched = self._matched(
-            left, right, corners, disparity=disparity, distance=np.zeros(len(corners)), track=None
-        )
+        config = self.config
+        wanted = config.features - len(kept)
+        corners = new_corners(left, kept.left, config=config, wanted=wanted, yield_of=self._yield)
+        usual = float(np.median(kept.pixels[:, 0] - kept.pixels[:, 2])) if len(kept) else 0.0
+        disparity = np.full(len(corners), usual)
+        new = matched(self.pair, left, right, corners, disparity=disparity, known=False, config=config)
         self.counts["corners_found"] += len(corners)
-        self.counts["corners_without_stereo"] += int(np.sum(~matched))
-        new = new.of(matched)
-        track = self._next_id + np.arange(len(new))
-        self._next_id += len(new)
+        self.counts["corners_without_stereo"] += int(np.sum(~new.valid))
         ids = np.full(len(corners), -1)
-        ids[matched] = track
-        self._tried = (cells(corners, left, self.config), ids)
-        return Tracks(track, new.left, new.right, new.pixels, new.distance)
+        ids[new.valid] = self._next_id + np.arange(np.sum(new.valid))
+        self._next_id += int(np.sum(new.valid))
+        self._tried = (cells(corners, left, config), ids)
+        distance = np.column_stack([np.zeros(len(corners)), new.distance])
+        return Tracks(ids, corners, new.right, new.pixels, distance).of(new.valid)
 
     def _learn_yield(self, kept: Tracks) -> None:
         """Update the yield of each cell by the share of its newest corners that are in view again."""
@@ -215,42 +180,3 @@ class Tracker:
         share = good[seen] / tried[seen]
         self._yield[seen] = np.maximum((1.0 - _NEWEST) * self._yield[seen] + _NEWEST * share, _SMALLEST_YIELD)
         self._tried = (cell[:0], ids[:0])
-
-    def _usual_disparity(self, kept: Tracks, count: int) -> Array:
-        usual = float(np.median(kept.pixels[:, 0] - kept.pixels[:, 2])) if len(kept) else 0.0
-        return np.full(count, usual)
-
-    def _matched(
-        self,
-        left: Picture,
-        right: Picture,
-        at: Array,
-        *,
-        disparity: Array,
-        distance: Array,
-        track: IntArray | None,
-    ) -> tuple[Tracks, BoolArray]:
-        """Match pixels of the left image to the right one from predicted disparities; which could be."""
-        config = self.config
-        own = self.pair.rectify_left(at)
-        guess = self.pair.raw_right(own - np.column_stack([disparity, np.zeros(len(at))]))
-        guess = np.where(np.isnan(guess), at, guess)
-        levels, farthest = config.predicted_levels, config.forward_backward_px
-        if track is None:
-            levels, farthest, track = config.levels, config.first_forward_backward_px, np.arange(len(at))
-        end, apart, found = follow(
-            left, right, at, guess=guess, levels=levels, farthest=farthest, config=config
-        )
-        pixels = np.column_stack([own, self.pair.rectify_right(end)])
-        with np.errstate(invalid="ignore"):
-            fits = (
-                (np.abs(pixels[:, 1] - pixels[:, 3]) <= config.row_difference_px)
-                & (pixels[:, 0] - pixels[:, 2] >= config.minimum_disparity_px)
-                & self._narrow(own)
-            )
-        return Tracks(track, at, end, pixels, np.column_stack([distance, apart])), found & fits
-
-    def _narrow(self, rectified: Array) -> BoolArray:
-        rig = self.pair.rig
-        off = (rectified - [rig.cx, rig.cy]) / [rig.fx, rig.fy]
-        return np.asarray(np.linalg.norm(off, axis=1) <= np.tan(np.radians(self.config.widest_deg)))
