@@ -114,7 +114,7 @@ estimators:
   ekf_all: {estimator: ekf, observations: all}
   ekf: {}
   isam2: {}
-ladder: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoothing}
+ablation_chain: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoothing}
 """
 
 

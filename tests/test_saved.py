@@ -36,7 +36,7 @@ estimators: {dead_reckoning: {}, ekf: {}, isam2: {marginals: all}}
 common_set_from: [ekf]
 held_out: {share: 0.2}
 lags: [0, 3]
-ladder: {ekf: the camera, isam2: smoothing}
+ablation_chain: {ekf: the camera, isam2: smoothing}
 checks: [{metric: ate_rmse, estimator: ekf, at_most: 5.0}]
 """
 ARCHIVES = ("record.npz", "runs/dead_reckoning.npz", "runs/ekf.npz", "runs/isam2.npz")

@@ -219,7 +219,9 @@ def _simulated(config: DataConfig, opening: Opening) -> Recording:
     if isinstance(config.source, SimulationSource):
         settings = config.source
     assert settings is not None
-    raw = simulated(settings, opening, name="simulation" if wanted is None else f"synthetic substitute for {wanted}")
+    raw = simulated(
+        settings, opening, name="simulation" if wanted is None else f"synthetic substitute for {wanted}"
+    )
     _log.warning(raw.notes[0])
     return raw
 

@@ -52,7 +52,7 @@ class Described(Demanding, Protocol):
         ...
 
     @property
-    def ladder(self) -> dict[str, str]:
+    def ablation_chain(self) -> dict[str, str]:
         """What each run adds to the one before it."""
         ...
 

@@ -55,7 +55,7 @@ class ScoringConfig:
         return {one.name: {} for one in self.trajectories}
 
     @property
-    def ladder(self) -> dict[str, str]:
+    def ablation_chain(self) -> dict[str, str]:
         """Nothing: rungs are of our own runs."""
         return {}
 

@@ -16,7 +16,9 @@ _LARGEST_NUMBER = 1e20
 """Stamps in nanoseconds have 19 digits; beyond this, products overflow sooner or later."""
 
 
-def read_table(path: Path, *, columns: int) -> tuple[Array, IntArray]:
+def read_table(
+    path: Path, *, columns: int, more: bool = False, comma: bool = False
+) -> tuple[Array, IntArray]:
     """Read lines of finite numbers; empty lines and lines that start with ``#`` are passed over.
 
     Parameters
@@ -24,6 +26,10 @@ def read_table(path: Path, *, columns: int) -> tuple[Array, IntArray]:
     path : Path
     columns : int
         Numbers a line.
+    more : bool
+        Whether further columns may follow, which are ignored and need not be numbers.
+    comma : bool
+        Whether commas separate the numbers; white space otherwise.
 
     Returns
     -------
@@ -38,7 +44,8 @@ def read_table(path: Path, *, columns: int) -> tuple[Array, IntArray]:
     """
     values, numbers = array("d"), array("q")
     for number, text in read_lines(path):
-        values.extend(_row(text.split(), columns, where=f"{path}:{number}"))
+        fields = text.split(b"," if comma else None)
+        values.extend(_row(fields, columns, more=more, where=f"{path}:{number}"))
         numbers.append(number)
     return np.array(values).reshape(-1, columns), np.array(numbers, dtype=np.int64)
 
@@ -60,12 +67,12 @@ def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
-def _row(fields: list[bytes], columns: int, *, where: str) -> list[float]:
-    wanted = f"{columns} finite numbers"
-    if len(fields) != columns:
+def _row(fields: list[bytes], columns: int, *, more: bool, where: str) -> list[float]:
+    wanted = f"{columns} finite numbers" + (" or more" if more else "")
+    if len(fields) < columns or (len(fields) > columns and not more):
         raise DataError(f"{where}: must hold {wanted}, got {len(fields)} columns")
     row = []
-    for text in fields:
+    for text in fields[:columns]:
         try:
             row.append(float(text))
         except ValueError:

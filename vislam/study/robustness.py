@@ -73,7 +73,7 @@ def measure_spread(
         If the config or the folder cannot be used.
     """
     swept = {"seeds": 1, "around": neighbourhood(config)}
-    study = replace(config, data=_absolute(config.data, folders), checks=(), ladder={}, study=swept)
+    study = replace(config, data=_absolute(config.data, folders), checks=(), ablation_chain={}, study=swept)
     below = folder / ROBUSTNESS
     conduct(study, out=below, cluster=Cluster(workers=workers), progress=progress)
     plan = Plan.of(study)
