@@ -57,7 +57,6 @@ def _parser() -> Parser:
 
 def _compare(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam.base.errors import ConfigError  # noqa: PLC0415
     from vislam.comparison import config as configuration  # noqa: PLC0415
 
     refuse_bad_check_options(options)
