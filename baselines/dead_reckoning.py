@@ -25,8 +25,8 @@ class DeadReckoningOptions:
     integration: Integration = "mean"
     """Which twist is held over a step."""
     motion_variance: Six | None = None
-    """Variance (omega, v) that a step adds whatever its length, as W of the course report's eq. (25) [rad^2, m^2];
-    the bias is then held to be known. null: the noise of the comparison."""
+    """Variance (omega, v) that a step adds whatever its length, as W of the course report's eq. (25) [rad^2,
+    m^2]; the bias is then held to be known. null: the noise of the comparison."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
