@@ -187,6 +187,7 @@ FRAME = {
         "file": "a.npz",
         "simulation": {"recorded": {"file": "a", "format": "tum"}, "path": "recorded"},
         "reference": {"file": "a", "format": "tum", "name": "a", "limits": "a"},
+        "redraw_inertial": {"twist_density": [0.0] * 6},
     },
     "study": {"latin_hypercube": {"samples": 1, "ranges": {"a": [0, 1]}}},
 }
