@@ -211,6 +211,8 @@ def test_every_number_is_finite(value):
             poses = {"recorded": {"file": "a", "format": "tum"}, "path": "recorded"}
             source = {"format": "kitti00"} if made else {"format": "simulation", **poses}
             tree["data"] = {"source": source}
+        if path[:2] == ("data", "redraw_inertial"):
+            tree["data"] = {"redraw_inertial": {"twist_density": [1.0] * 6}}
         section = tree
         for part in path[:-1]:
             if not isinstance(section.get(part), dict):
