@@ -52,6 +52,10 @@ def write_all(folder: Path) -> None:
             path.write_text(text, encoding="utf-8")
 
 
+FORMAT = "Format of the file, by which its reader is chosen."
+"""What the key ``format`` is, where its class does not say more."""
+
+
 class _Found(Exception):
     """Carries the parser of a command out of its call."""
 
@@ -64,7 +68,7 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 
     with patch.object(Parser, "parse_args", stop):
         try:
-            import_module(f"vislam.cli.{command}").main([])
+            import_module(f"vislam.cli.{command.replace('-', '_')}").main([])
         except _Found as found:
             return found.args[0]
     raise LookupError(command)
@@ -139,22 +143,28 @@ def configuration() -> str:
 
 def _section(kind: Any, path: str, title: str) -> list[str]:
     """A table of the fields of a settings class, and after it those of the classes in it."""
-    heading = f"## {title}" if not path or "." not in path else f"### {path}"
+    heading = f"## {title}" if not path or "." not in path else f"### {title}"
     first = (inspect.getdoc(kind) or "").partition("\n")[0]
     lines = [heading, "", _markdown(first), "", "| key | type | default | meaning |", "|---|---|---|---|"]
     documents, hints, inside = _documented(kind), get_type_hints(kind, include_extras=False), []
     for field in fields(kind):
-        nested = _nested(hints[field.name])
+        nested = [found for found in _nested(hints[field.name]) if found is not kind]
         dotted = f"{path}.{field.name}" if path else field.name
-        if nested is not None and nested is not kind:
-            inside.append((nested, dotted))
-        meaning = _cell(documents.get(field.name, ""))
+        inside += [(found, dotted, len(nested) > 1) for found in nested]
+        meaning = _cell(documents.get(field.name, FORMAT if field.name == "format" else ""))
         lines.append(f"| `{field.name}` | {_kind(hints[field.name])} | {_default(field)} | {meaning} |")
     lines.append("")
-    for nested, dotted in inside:
-        if nested is not Check:
-            lines += _section(nested, dotted, dotted)
+    for found, dotted, one_of_several in inside:
+        if found is not Check:
+            name = f"{dotted} ({_format(found)})" if one_of_several else dotted
+            lines += _section(found, dotted, name)
     return lines
+
+
+def _format(kind: Any) -> str:
+    """Format by which a section is told from others in its place."""
+    default = kind.__dataclass_fields__["format"].default
+    return "any other format" if default is MISSING else f"format: {default}"
 
 
 def _documented(kind: Any) -> dict[str, str]:
@@ -170,10 +180,11 @@ def _documented(kind: Any) -> dict[str, str]:
     return found
 
 
-def _nested(hint: Any) -> Any:
+def _nested(hint: Any) -> list[Any]:
+    """Settings classes that an annotation holds."""
     if is_dataclass(hint):
-        return hint
-    return next((found for part in get_args(hint) if (found := _nested(part)) is not None), None)
+        return [hint]
+    return [found for part in get_args(hint) for found in _nested(part)]
 
 
 def _kind(hint: Any) -> str:
