@@ -108,7 +108,7 @@ def check_seen_again(sequence: Sequence, *, kept: str) -> Finding:
     again = len(np.unique(track[order][1:][(np.diff(track[order]) == 0) & (np.diff(frame[order]) > 1)]))
     counts: dict[str, float] = {"tracks": count, "seen_again": again, "returns": back}
     text = f"{again} of {count} tracks come back after they were out of view, {back} times in all"
-    if again < _SEEN_AGAIN * count:
+    if back == 0 or again < _SEEN_AGAIN * count:
         return Finding("landmarks seen again", "ok", text, counts=counts)
     text = (
         f"{text}, for {np.median(gap[gap > 1]) - 1:.0f} frames half of the times: ids are those of landmarks"
