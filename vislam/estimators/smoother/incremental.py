@@ -95,14 +95,24 @@ class SmootherEstimator:
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
         every = self._options.pose_cov_every
-        known = every > 0 and frame.k % every == 0
-        bias = State(*self._motion.bias(solver.engine, frame, with_sigma=known))
+        bias, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
         return Step(
             pose=solver.poses[-1],
-            pose_cov=solver.engine.covariance(X(frame.k)) if known else None,
+            pose_cov=pose_cov,
             states={TWIST_BIAS: bias},
             used=np.isin(frame.stereo.track, [track.id for track in seen]),
         )
+
+    def _read_newest(self, frame: Frame, *, with_cov: bool) -> tuple[State, Array | None]:
+        """Bias and, if asked for, covariance of the newest pose, which GTSAM may refuse where it solved."""
+        engine = self._solver.engine
+        if with_cov:
+            try:
+                bias = State(*self._motion.bias(engine, frame, with_sigma=True))
+                return bias, engine.covariance(X(frame.k))
+            except IndeterminateError:
+                self._counts["covariances_refused"] = self._counts.get("covariances_refused", 0) + 1
+        return State(*self._motion.bias(engine, frame, with_sigma=False)), None
 
     def finalize(self) -> Final:
         """Return all poses and landmarks, after what the options ask for in the end."""
