@@ -234,8 +234,8 @@ def test_cholesky_is_not_refused_where_the_place_is_far_less_known_than_the_step
     check_equal(result, member("isam2", config, dataset, sigma=nothing, factorization="qr"))
     start = engine.WholeGraph.__init__
 
-    def without_anchor(self, options, factorization):
-        start(self, options, factorization)
+    def without_anchor(self, options, factorization, **rest):
+        start(self, options, factorization, **rest)
         self._anchored = False
 
     monkeypatch.setattr(engine.WholeGraph, "__init__", without_anchor)
