@@ -14,7 +14,7 @@ DEFINITIONS = {
         "Root mean square angle between estimated and reference attitude, after the same alignment."
     ),
     "ate_sim3_rmse": (
-        "The absolute trajectory error after the similarity alignment (Umeyama 1991), scale included."
+        "The absolute trajectory error after a similarity alignment (Umeyama 1991), with the scale fitted."
     ),
     "rows_matched": "Rows of a trajectory file that belong to a row of the reference, or to a moment of it.",
     "share_matched": "The same, as a share of the rows of the sparser of the two.",
@@ -27,7 +27,7 @@ DEFINITIONS = {
     ),
     "energy_score_position": (
         "Energy score of the position errors under the estimated covariances (Gneiting and Raftery 2007), "
-        "averaged over the frames: a proper score in metres, less is better."
+        "mean over the frames: a proper score in metres, less is better."
     ),
     "map_points_complete": (
         "Share of the points of the other map that have a point of this one within 5 % of their depth."
