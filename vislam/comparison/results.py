@@ -101,7 +101,11 @@ class Results:
         return {} if self.record.frozen is None else self.record.frozen.not_fused(self._own())
 
     def _own(self) -> dict[str, Run]:
-        return {name: run for name, run in self.runs.items() if name in self.config.estimators}
+        return {
+            name: run
+            for name, run in self.runs.items()
+            if name in self.config.estimators and not run.elsewhere
+        }
 
     def begin(self, folder: Path) -> None:
         """Write what there is before any run: config and record, each whole or not at all."""

@@ -57,8 +57,10 @@ def noticed(
     """
     found = [*_matched(pairs), *_moment(pairs)]
     if len(pairs) >= _FEWEST:
-        found += [*_scale(pairs, scaled=scaled), *_clock(pairs, source, own, scaled=scaled)]
-        found += _attitudes(pairs, reference.name)
+        scale = [] if scaled else list(_scale(pairs))
+        found += [*scale, *_clock(pairs, source, own)]
+        # What the scale explains is no lever arm.
+        found += _attitudes(_scaled(pairs) if scale else pairs, reference.name)
     return tuple(found)
 
 
@@ -85,9 +87,20 @@ def _moment(pairs: Paired) -> Iterator[str]:
         )
 
 
-def _scale(pairs: Paired, *, scaled: bool) -> Iterator[str]:
-    if scaled:
-        return
+def _scaled(pairs: Paired) -> Paired:
+    """The same with the positions of the trajectory at the scale that fits best."""
+    target = pairs.reference.position
+    turned = _residual(pairs) + target
+    centred, wanted = turned - turned.mean(axis=0), target - target.mean(axis=0)
+    scale = float(np.sum(centred * wanted)) / float(np.sum(centred**2))
+    own = pairs.estimate
+    pose = None
+    if own.pose is not None:
+        pose = se3.from_rotation_translation(own.pose[:, :3, :3], scale * own.position)
+    return replace(pairs, estimate=replace(own, position=scale * own.position, pose=pose))
+
+
+def _scale(pairs: Paired) -> Iterator[str]:
     rigid = _residual(pairs)
     target = pairs.reference.position
     turned = rigid + target
@@ -104,7 +117,7 @@ def _scale(pairs: Paired, *, scaled: bool) -> Iterator[str]:
         )
 
 
-def _clock(pairs: Paired, source: Stamped, own: Stamped, *, scaled: bool) -> Iterator[str]:
+def _clock(pairs: Paired, source: Stamped, own: Stamped) -> Iterator[str]:
     # A free scale keeps a monocular trajectory from hiding a clock that is off.
     found = estimate_offset(own, source, reach=_REACH, scaled=True)
     step = max(own.step, source.step)
