@@ -73,9 +73,10 @@ def test_without_opencv_the_remedy_is_named(folder, monkeypatch, capsys):
 
 
 def test_compare_takes_a_config_or_data(capsys):
-    assert main(["compare", "tiny", "--data", "x"]) == 2
-    assert "give one of them" in capsys.readouterr().err
-    assert main(["compare"]) == 2
-    assert "--data" in capsys.readouterr().err
+    for arguments in (["tiny", "--data", "x"], []):
+        with pytest.raises(SystemExit) as caught:
+            main(["compare", *arguments])
+        assert caught.value.code == 2
+        assert "a config is required, or --data with a recording" in capsys.readouterr().err
     assert main(["compare", "--data", "x"]) == 2
     assert "x: not found; name a folder of stereo images" in capsys.readouterr().err

@@ -26,7 +26,10 @@ from vislam.cli.command import (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if (options.data is None) == (options.config is None):
+        parser.error("a config is required, or --data with a recording: give one of them")
     return answer(lambda: _compare(options), verbose=options.verbose)
 
 
@@ -64,8 +67,6 @@ def _compare(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--workers is the number of processes of --robustness, 1 or more; got {options.workers}"
         )
-    if (options.data is None) == (options.config is None):
-        raise ConfigError("a config is required, or --data with a recording; give one of them")
     if options.data is not None:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 

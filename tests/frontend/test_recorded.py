@@ -1,0 +1,49 @@
+"""Recorded images where they are: distances against the reference, and the lives of tracks."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vislam.base.progress import Silent
+from vislam.core.images import StampedPoses
+from vislam.core.rigid_fit import continuations, rigid_fits
+from vislam.datasets.images import open_images
+from vislam.frontend.settings import FrontEndConfig
+from vislam.frontend.track import reference_frames, track
+
+DATA = Path(os.environ.get("VISLAM_DATA", Path(__file__).parents[3] / "shared" / "data"))
+
+pytestmark = pytest.mark.slow
+
+
+def recording(name, pairs):
+    folder = DATA / name
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not here")
+    found = open_images(folder)
+    return replace(found, stamp=found.stamp[:pairs], left=found.left[:pairs], right=found.right[:pairs])
+
+
+def test_a_car_s_distance_is_that_of_its_gnss():
+    found = recording("kitti_raw", 80)
+    tracked = track(found, FrontEndConfig(), progress=Silent())
+    assert tracked.counts["images_missing_left"] == tracked.counts["images_missing_right"] == 1
+    assert abs(tracked.figures["row_error_px"]) > 0.2 > abs(tracked.figures["row_error_corrected_px"])
+    assert tracked.figures["life_median"] >= 8
+    assert isinstance(found.reference, StampedPoses)
+    frame, pose = reference_frames(tracked, found.reference)
+    fits = rigid_fits(tracked.sequence, continuations(tracked.sequence))
+    went = sum(np.linalg.norm(fits[k].next_T_prev[:3, 3]) for k in range(frame[0] + 1, frame[-1] + 1))
+    expected = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1).sum()
+    assert went == pytest.approx(expected, rel=0.015)
+
+
+def test_a_shaken_rig_keeps_its_tracks():
+    tracked = track(recording("euroc_mh01", 60), FrontEndConfig(), progress=Silent())
+    assert tracked.counts["frames"] == 60
+    assert tracked.figures["in_view_median"] >= 80
+    assert tracked.figures["life_median"] >= 6
+    assert tracked.figures["row_spread_px"] < 0.5
