@@ -3,18 +3,17 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vislam.base.files import replace_whole, write_text
-from vislam.base.types import Array
 from vislam.core.images import ImageRecording, StampedPoses
+from vislam.core.reference import Reference
 from vislam.datasets.export import write_tum
+from vislam.datasets.recording import Recording
+from vislam.datasets.tracks_npz import write_tracks_npz
 from vislam.frontend.settings import FrontEndConfig
 from vislam.frontend.track import Tracked, reference_frames
-
-_VERSION = 1
 
 
 def quality_path(path: Path) -> Path:
@@ -41,24 +40,10 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, confi
     the frame before (0 for the first of a track) and to the right image; and ``life (n,)``, the observations
     of its track. ``*_front_end.json`` has the settings, counts and figures.
     """
-    sequence, rig = tracked.sequence, tracked.sequence.rig
-    arrays: dict[str, Array | np.ndarray[Any, Any]] = {
-        "version": np.array(_VERSION),
-        "stamp": sequence.stamp,
-        "frame": sequence.frame_of,
-        "track": sequence.track,
-        "pixels": sequence.pixels,
-        "K": np.array([[rig.fx, 0.0, rig.cx], [0.0, rig.fy, rig.cy], [0.0, 0.0, 1.0]]),
-        "baseline": np.array(rig.baseline),
-        "imu_T_cam": rig.imu_T_cam,
-        "inertial_stamp": sequence.inertial_stamp,
-        "angular_velocity": sequence.twist[:, :3],
-        "linear_velocity": sequence.twist[:, 3:],
-    }
+    sequence, reference = tracked.sequence, None
     if isinstance(recording.reference, StampedPoses):
-        frame, pose = reference_frames(tracked, recording.reference)
-        if len(frame):
-            arrays |= {"reference_frame": frame, "reference_pose": pose}
+        reference = _reference(tracked, recording.reference)
+        write_tum(reference_path(path), recording.reference.stamp, recording.reference.world_T_imu)
     quality = {
         "forward_backward_px": tracked.distance,
         "life": np.bincount(sequence.track)[sequence.track],
@@ -71,13 +56,22 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, confi
         "velocity": recording.inertia is not None and recording.inertia.velocity is not None,
         "levelled": recording.levelled,
     }
-    if isinstance(recording.reference, StampedPoses):
-        write_tum(reference_path(path), recording.reference.stamp, recording.reference.world_T_imu)
-    _write_arrays(quality_path(path), quality)
+    with replace_whole(quality_path(path)) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **quality)
     write_text(summary_path(path), json.dumps(summary, indent=2) + "\n")
-    _write_arrays(path, arrays)
+    write_tracks_npz(path, Recording(sequence, reference))
 
 
-def _write_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    with replace_whole(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+def _reference(tracked: Tracked, poses: StampedPoses) -> Reference | None:
+    """The poses as a reference by frames; None if no frame has one."""
+    frame, pose = reference_frames(tracked, poses)
+    if not len(frame):
+        return None
+    return Reference(
+        name="poses of the recording",
+        limits=poses.origin,
+        frame=frame,
+        position=pose[:, :3, 3],
+        pose=pose,
+        imu_T_point=np.eye(4),
+    )
