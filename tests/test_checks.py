@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from vislam.base.errors import ConfigError, DataError
-from vislam.checks.judge import Checklist
+from vislam.checks.judge import Checklist, rerun_noise, summary
 from vislam.checks.junit import write_junit
 from vislam.checks.saved import Saved
 from vislam.comparison import config as configuration
@@ -247,6 +247,25 @@ def test_without_a_word_of_saved_results_no_error_may_be_larger_than_them():
     assert all(verdict.holds for verdict in verdicts)
     strict = Checklist.of(config_of(), saved=saved(), tolerance=0.0).judge(runs(), EVALUATION)
     assert [verdict.holds for verdict in strict] == [False]
+
+
+def test_a_difference_below_the_noise_of_a_rerun_is_none():
+    """1.5 m against a saved 1.49995 m at no tolerance: less than another processor's rounding may do."""
+    old = saved({("isam2", "ate_rmse"): 1.5 - 0.5 * rerun_noise("m")})
+    (near,) = Checklist.of(config_of(), saved=old, tolerance=0.0).judge(runs(), EVALUATION)
+    assert near.holds
+    old = saved({("isam2", "ate_rmse"): 1.5 - 2.0 * rerun_noise("m")})
+    (far,) = Checklist.of(config_of(), saved=old, tolerance=0.0).judge(runs(), EVALUATION)
+    assert not far.holds
+    # A bound that somebody has set is kept to the letter, and a unit without a known noise has none.
+    assert not judged(bound(at_most=1.5 - 0.5 * rerun_noise("m")))[0].holds
+    assert rerun_noise("parsec") == 0.0
+
+
+def test_the_summary_counts_what_does_not_hold():
+    verdicts = judged(bound(at_most=1.0), bound(at_most=9.0), bound(at_most=9.0))
+    assert summary(verdicts) == "1 of 3 checks do not hold"
+    assert summary(verdicts[1:]) == "all 2 checks hold"
 
 
 def test_saved_results_without_an_error_to_compare_are_refused():
