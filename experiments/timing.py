@@ -15,9 +15,10 @@ from vislam.base.files import replace_whole
 from vislam.base.types import Array, BoolArray
 from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
-from vislam.comparison.compare import make_problem, pixel_sigma, provenance
+from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, open_dataset
+from vislam.comparison.provenance import provenance
 from vislam.core.estimator import Problem
 from vislam.core.sequence import Sequence as Recording
 from vislam.estimators.ekf import EkfEstimator, EkfOptions

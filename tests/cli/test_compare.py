@@ -197,7 +197,9 @@ def test_a_missing_recording_is_simulated_unless_that_is_refused(capsys):
     assert not Path("out").exists()
     short = ["--set", "data.simulation.frames=20", "--estimators", "ekf"]
     assert main(["--config", DS3, "--out", "out", "--no-report", *short]) == 0
-    assert capsys.readouterr().out.startswith("SIMULATED: synthetic substitute for 03.npz")
+    begun, simulated, *_ = capsys.readouterr().out.splitlines()
+    assert begun == f"vislam compare {DS3}"
+    assert simulated.startswith("SIMULATED: synthetic substitute for 03.npz")
 
 
 def object_array():

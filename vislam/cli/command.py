@@ -123,6 +123,11 @@ def load_config(options: argparse.Namespace) -> Any:
     return configuration.load(options.config, overrides=overrides(options))
 
 
+def begin(what: str) -> None:
+    """Say what begins, before the imports and the reading that take seconds."""
+    print(one_line(f"vislam {what}"), flush=True)
+
+
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
     """Values that the options put in place of the config's, by dotted path."""
     found: dict[str, Any] = {}

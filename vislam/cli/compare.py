@@ -19,6 +19,7 @@ from vislam.cli.command import (
     add_check_options,
     add_config_options,
     answer,
+    begin,
     load_config,
     refuse_bad_check_options,
 )
@@ -71,6 +72,8 @@ def _compare(options: argparse.Namespace) -> int:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 
         options.config = config_of(options.data, out=options.out)
+    if not options.dump_config:
+        begin(f"compare {options.config}")
     config = load_config(options)
     if options.estimators:
         names = [name.strip() for name in options.estimators.split(",") if name.strip()]

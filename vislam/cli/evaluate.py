@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.base.errors import ConfigError
-from vislam.cli.command import Parser, add_check_options, answer, refuse_bad_check_options
+from vislam.cli.command import Parser, add_check_options, answer, begin, refuse_bad_check_options
 
 _ONE = "NAME=FILE[,key=value...]"
 
@@ -79,6 +79,7 @@ def _parser() -> Parser:
 def _evaluate(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help answers at once.
     refuse_bad_check_options(options)
+    begin(f"evaluate {options.results}")
     if options.suite is not None:
         return _suite(options)
     if options.results is not None and options.results.is_file():

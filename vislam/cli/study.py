@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vislam.base.errors import ConfigError
-from vislam.cli.command import Parser, add_override_options, answer, load_config
+from vislam.cli.command import Parser, add_override_options, answer, begin, load_config
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,6 +65,7 @@ def _refuse_bad(options: argparse.Namespace) -> None:
 
 def _study(options: argparse.Namespace) -> int:
     _refuse_bad(options)
+    begin(f"study {options.config}")
     config = load_config(options)
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam.cli.console import Terminal  # noqa: PLC0415

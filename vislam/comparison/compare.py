@@ -1,11 +1,8 @@
 """One comparison from config to results: open the data, run the estimators, save, publish."""
 
 import hashlib
-import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +19,7 @@ from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
+from vislam.comparison.provenance import provenance
 from vislam.comparison.results import (
     PLACES,
     RECORD,
@@ -100,17 +98,39 @@ def compare(
     for file in PLACES:
         check_writable(folder / file)
     keeper = FolderKeeper(folder, fresh=fresh)
+    again = (folder / "metrics.json").is_file()
     keeper.clear()
     prepared = prepare(config, dataset, progress, keeper=keeper, identity=identity)
     if not fresh:
         prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
     Results(config, prepared.record, {}).begin(folder)
     results = replace(prepared.run(), spread=read_spread(folder))
-    if keeper.found:
-        progress.note(f"kept from an earlier start (--fresh runs them again): {', '.join(keeper.found)}")
+    for line in told_of_rerun(keeper.found, tuple(results.runs), again=again):
+        progress.note(line)
     published = publish(results, folder, checklist, report=report)
     announce(results, published, progress)
     return Outcome(folder, results, published)
+
+
+def told_of_rerun(kept: Sequence[str], runs: Sequence[str], *, again: bool) -> list[str]:
+    """What became of what an earlier start had left: kept, run again, overwritten; nothing without one.
+
+    Parameters
+    ----------
+    kept, runs : sequence of str
+        Names of the runs that were found, and of all.
+    again : bool
+        Whether there were results before.
+    """
+    told = []
+    if kept:
+        told.append(f"kept from an earlier start (--fresh runs them again): {', '.join(kept)}")
+    computed = [name for name in runs if name not in kept]
+    if computed and (kept or again):
+        told.append(f"computed {'again' if again else 'now'}: {', '.join(computed)}")
+    if again:
+        told.append("overwritten: metrics.json, and the page with its figures")
+    return told
 
 
 def keep(results: Results, out: Path, *, report: bool) -> Path:
@@ -367,24 +387,3 @@ def earlier_provenance(record: Record, folder: Path) -> Record:
     except DataError:
         return record
     return replace(record, provenance=earlier.provenance)
-
-
-def provenance() -> dict[str, str]:
-    """When, on what and with which versions something was computed."""
-    packages = ("vislam", "gtsam", "numpy", "scipy")
-    return {
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "cpu": _cpu(),
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-        "code": code_digest(),
-    }
-
-
-def _cpu() -> str:
-    information = Path("/proc/cpuinfo")
-    if information.exists():
-        for line in information.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

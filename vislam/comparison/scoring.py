@@ -14,8 +14,8 @@ from vislam.base.fields import STRICT
 from vislam.base.settings import Title, parse, read
 from vislam.base.types import Array
 from vislam.checks.settings import Check
-from vislam.comparison.compare import provenance
 from vislam.comparison.imported import read_elsewhere
+from vislam.comparison.provenance import provenance
 from vislam.comparison.results import Results
 from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record, Tracks

@@ -13,8 +13,8 @@ from vislam.base.files import folder_name
 from vislam.base.progress import Progress
 from vislam.base.settings import LONGEST_NAME
 from vislam.comparison import config as configuration
-from vislam.comparison.compare import provenance
 from vislam.comparison.config import Config, parse
+from vislam.comparison.provenance import provenance
 from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.study.ablation import CASE, slug
 from vislam.study.answers import COVERAGE, NEES
