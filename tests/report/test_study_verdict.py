@@ -35,6 +35,14 @@ def test_without_a_sweep_the_claim_is_judged_as_it_is(expected, word):
     assert consistency(trials, "ekf").startswith(f"ekf {word}: NEES ")
 
 
+def test_with_few_seeds_nobody_is_accused_or_ranked():
+    trials = Trials.of_records(study({}, seeds=5, overconfident=lambda _: 50.0))
+    assert consistency(trials, "ekf") == "too few seeds to judge the consistency of ekf: 5 of at least 6."
+    told = " ".join(verdict(trials))
+    assert "too few trials of both to rank them: 5 of at least 6" in told
+    assert "overconfident" not in told
+
+
 def test_words_have_no_place_from_which_on():
     sweep = {"estimators.ekf.form": ("right", "left")}
     told = consistency(Trials.of_records(study(sweep, overconfident=lambda _: 3.0)), "ekf")

@@ -44,6 +44,30 @@ def test_a_consistent_estimator_is_taken_for_one_and_an_overconfident_one_is_not
     assert held >= 33
 
 
+def test_one_rule_accuses_whatever_the_spread():
+    """A mean of 48.8 from one bad trial is accused as one of 8.8 from many alike."""
+    alike, one_bad = [8.7, 8.8, 8.9] * 3, [0.5] * 8 + [435.2]
+    records = [
+        record(seed, {}, {"alike": {"nees_pose": a}, "one_bad": {"nees_pose": b}})
+        for seed, (a, b) in enumerate(zip(alike, one_bad, strict=True))
+    ]
+    trials = Trials.of_records(records)
+    first, second = (answers.pooled_nees(trials, name, rows=rows(trials)) for name in ("alike", "one_bad"))
+    assert (first.mean.value, second.mean.value) == pytest.approx((8.8, 48.8), abs=0.01)
+    assert first.bounds == second.bounds
+    assert first.overconfident
+    assert second.overconfident
+
+
+def test_the_rule_accuses_consistent_trials_of_one_constant_error_as_often_as_it_says(rng):
+    """The least favourable case: each trial is one pose. 2.5 % on either side of 2000 studies."""
+    means = rng.chisquare(6, (2000, 7)).mean(axis=1) / 6
+    trials = Trials.of_records([record(seed, {}, {"ekf": {"nees_pose": 1.0}}) for seed in range(7)])
+    low, high = answers.pooled_nees(trials, "ekf", rows=rows(trials)).bounds
+    assert np.mean(means > high) == pytest.approx(0.025, abs=0.012)
+    assert np.mean(means < low) == pytest.approx(0.025, abs=0.012)
+
+
 def test_a_trial_whose_error_never_changes_is_beyond_the_bound_once_in_twenty(rng):
     nees = np.sum(rng.normal(size=(4000, 6)) ** 2, axis=1) / 6
     records = [record(seed, {}, {"ekf": {"nees_pose": value}}) for seed, value in enumerate(nees)]

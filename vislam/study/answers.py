@@ -11,12 +11,14 @@ import numpy as np
 from scipy.stats import chi2, spearmanr, wilcoxon
 
 from vislam.base.types import IntArray
-from vislam.study.intervals import Estimate, bootstrap, share, student_mean
+from vislam.study.intervals import PROBABILITY, Estimate, bootstrap, positive_mean, share
 from vislam.study.trials import Trials
 
 NEES = "nees_pose"
 """Statistic that speaks for consistency; it needs a truth, which simulated trials have."""
 _FREEDOM = 6
+FEWEST_TRIALS = 6
+"""Trials without which nothing is judged: of five, no signed-rank test can reach 0.05 (2 / 2^5)."""
 COVERAGE = "coverage_pose_3sigma"
 _FEWEST_RANKED = 2
 """Runs of which an order says nothing yet."""
@@ -31,13 +33,41 @@ class PooledNees:
     Attributes
     ----------
     mean : Estimate
-        Mean over trials of their NEES per degree of freedom, with Student's interval; 1 is expected.
+        Mean over trials of their NEES per degree of freedom; 1 is expected.
     beyond : Estimate
         Share of trials beyond :func:`trial_bound`; 0.05 at most is expected.
     """
 
     mean: Estimate
     beyond: Estimate
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds between which the mean of a consistent estimator lies with 95 % or more.
+
+        Those of as many independent poses as there are trials (Bar-Shalom, Li and Kirubarajan, Estimation
+        with Applications to Tracking and Navigation, 5.4.2). The average of a trial spreads no more than a
+        pose, so they hold whatever the errors within a trial have in common; and of two means of as many
+        trials, the larger is not spared where the smaller is accused.
+        """
+        freedom = _FREEDOM * self.mean.count
+        tail = 0.5 * (1.0 - PROBABILITY)
+        return float(chi2.ppf(tail, freedom)) / freedom, float(chi2.isf(tail, freedom)) / freedom
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are trials enough to judge by."""
+        return self.mean.count >= FEWEST_TRIALS
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether the errors are larger than estimated."""
+        return self.mean.value > self.bounds[1]
+
+    @property
+    def conservative(self) -> bool:
+        """Whether they are smaller."""
+        return self.mean.value < self.bounds[0]
 
 
 @dataclass(frozen=True)
@@ -90,7 +120,7 @@ def trial_bound() -> float:
 def pooled_nees(trials: Trials, name: str, *, rows: IntArray) -> PooledNees | None:
     """Consistency over trials, from the average NEES of each; None if no trial has one."""
     values = trials.value(name, NEES)[rows]
-    found = student_mean(values)
+    found = positive_mean(values)
     if found is None:
         return None
     return PooledNees(found, share(float(np.count_nonzero(values > trial_bound())), found.count))
@@ -133,14 +163,13 @@ def rank_correlation(trials: Trials, one: str, other: str) -> Estimate | None:
 def onset(found: Sequence[PooledNees | None]) -> int | None:
     """First of the points from which on an estimator is overconfident; None if there is none.
 
-    From there on every interval of the mean lies above 1. Points where no trial finished tell nothing and
-    are passed over.
+    Points where no trial finished tell nothing and are passed over.
     """
     first = None
     for place, nees in enumerate(found):
         if nees is None:
             continue
-        if not nees.mean.low > 1.0:
+        if not nees.overconfident:
             first = None
         elif first is None:
             first = place

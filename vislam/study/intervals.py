@@ -52,16 +52,21 @@ def share(hits: float, count: int) -> Estimate:
     return Estimate(found, max(0.0, low), min(1.0, high), count)
 
 
-def student_mean(values: Array) -> Estimate | None:
-    """Mean of trials ``(n,)``, NaN where missing, with Student's interval; None if all are missing."""
+def positive_mean(values: Array) -> Estimate | None:
+    """Mean of trials ``(n,)`` that are not negative, NaN where missing; None if all are missing.
+
+    The interval is Student's of the logarithm, ``mean exp(-+ t s / (sqrt(n) mean))`` by the delta method
+    (Casella and Berger, Statistical Inference, 5.5.4): of what is not negative no end of it is.
+    """
     known = values[np.isfinite(values)]
     if not len(known):
         return None
-    mean, half, missing = float(known.mean()), np.nan, len(values) - len(known)
-    if len(known) > 1:
+    mean, low, high, missing = float(known.mean()), np.nan, np.nan, len(values) - len(known)
+    if len(known) > 1 and mean > 0.0:
         quantile = t.isf(0.5 * (1.0 - PROBABILITY), len(known) - 1)
-        half = float(quantile * known.std(ddof=1) / np.sqrt(len(known)))
-    return Estimate(mean, mean - half, mean + half, len(known), missing)
+        factor = float(np.exp(quantile * known.std(ddof=1) / (np.sqrt(len(known)) * mean)))
+        low, high = mean / factor, mean * factor
+    return Estimate(mean, low, high, len(known), missing)
 
 
 def bootstrap(values: Array, statistic: Callable[..., Any]) -> Estimate | None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vislam.study.answers import PooledNees, failure_rate, median, onset, paired, pooled_nees
+from vislam.study.answers import FEWEST_TRIALS, PooledNees, failure_rate, median, onset, paired, pooled_nees
 from vislam.study.page.labels import (
     ERRORS,
     errors,
@@ -69,6 +69,9 @@ def _accuracy(trials: Trials) -> str:
     pair = paired(trials, ranked[0], ranked[1], key, rows=rows) if len(ranked) > 1 else None
     if pair is None:
         return f"{told}."
+    if pair.difference.count < FEWEST_TRIALS:
+        few = f"{pair.difference.count} of at least {FEWEST_TRIALS}"
+        return f"{told}; too few trials of both to rank them: {few}."
     first, second = ranked[:2]
     if pair.p_value > _SURE:
         return f"{told}; on the same trials {first} and {second} cannot be told apart (p {pair.p_value:.2g})."
@@ -83,15 +86,21 @@ def consistency(trials: Trials, name: str) -> str:
     groups = trials.groups()
     found = [pooled_nees(trials, name, rows=rows) for _, rows in groups]
     labels = [point_label(point) for point, _ in groups]
-    told = {label: one for label, one in zip(labels, found, strict=True) if one is not None}
+    known = {label: one for label, one in zip(labels, found, strict=True) if one is not None}
+    told = {label: one for label, one in known.items() if one.enough}
     if not told:
-        return ""
-    over = [label for label, one in told.items() if one.mean.low > 1.0]
-    under = [label for label, one in told.items() if one.mean.high < 1.0]
+        most = max((one.mean.count for one in known.values()), default=0)
+        few = f"too few seeds to judge the consistency of {name}: {most} of at least {FEWEST_TRIALS}."
+        return few if known else ""
+    over = [label for label, one in told.items() if one.overconfident]
+    under = [label for label, one in told.items() if one.conservative]
     if not trials.point:
-        fair = "is not seen to be inconsistent"
-        word = "is overconfident" if over else "is conservative" if under else fair
-        return f"{name} {word}: NEES {with_interval(told[labels[0]].mean)}, 1 expected."
+        one = told[labels[0]]
+        word = (
+            "is overconfident" if over else "is conservative" if under else "is not seen to be inconsistent"
+        )
+        low, high = one.bounds
+        return f"{name} {word}: NEES {with_interval(one.mean)}, {low:.2g} to {high:.2g} expected."
     from_on = _onset(trials, name, found)
     if from_on:
         return from_on
