@@ -1,6 +1,6 @@
 """A tiny comparison, run once, and pages written of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from vislam.core.record import Record
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation, evaluate
 from vislam.report.figures import all_figures
-from vislam.report.page import write_page
+from vislam.report.page import Content, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 
@@ -40,22 +40,18 @@ class Tiny:
     def page(self, path: Path, **changes: Any) -> str:
         """Write a page of the comparison, changed in some of its parts, and return its text."""
         shown, record = self.shown, self.record
-        parts: dict[str, Any] = {
-            "title": "tiny",
-            "notes": (),
-            "runs": self.runs,
-            "evaluation": self.evaluation,
-            "rungs": (),
-            "reference": record.reference,
-            "counts": record.counts,
-            "repairs": record.repairs,
-            "frozen": "",
-            "figures": all_figures(shown),
-            "scene": scene_data(shown),
-            "provenance": "code: 1234",
-            "config": "name: tiny",
-        }
-        write_page(path, **(parts | changes))
+        content = Content(
+            title="tiny",
+            runs=self.runs,
+            record=replace(record, notes=(), provenance={"code": "1234"}),
+            evaluation=self.evaluation,
+            rungs=(),
+            figures=all_figures(shown),
+            scene=scene_data(shown),
+            travelled=shown.travelled(),
+            config="name: tiny",
+        )
+        write_page(path, replace(content, **changes))
         return path.read_text("utf-8")
 
 

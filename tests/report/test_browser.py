@@ -3,12 +3,17 @@
 import io
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib import image
 
+from tests.records import altered
 from vislam import evaluate
+from vislam.evaluation import evaluate as evaluate_runs
+from vislam.report.scene import scene_data
+from vislam.report.shown import Shown
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
@@ -175,9 +180,12 @@ def test_without_webgl_the_page_says_so_and_nothing_fails(playwright, opened):
         plain.close()
 
 
-def rows(page):
-    table = page.locator("table.sortable").first
+def names_in(table):
     return table.locator("tbody th").all_inner_texts()
+
+
+def rows(page):
+    return names_in(page.locator("table.sortable").first)
 
 
 @pytest.mark.parametrize("press", [lambda button: button.click(), lambda button: button.press("Enter")])
@@ -185,14 +193,16 @@ def test_a_header_sorts_the_rows_and_again_reverses_them(opened, tiny, press):
     page = opened().page
     names = list(tiny.runs)
     assert rows(page) == names
-    header = page.locator("table.sortable").first.locator("th", has_text="peak memory")
+    table = page.locator("table.sortable").nth(2)
+    assert names_in(table) == names
+    header = table.locator("th", has_text="peak memory")
     value = {name: round(tiny.evaluation.value(name, "peak_rss_mb")) for name in names}
     press(header.locator("button"))
-    upwards = rows(page)
+    upwards = names_in(table)
     assert [value[name] for name in upwards] == sorted(value.values())
     assert header.get_attribute("aria-sort") == "ascending"
     press(header.locator("button"))
-    assert [value[name] for name in rows(page)] == sorted(value.values(), reverse=True)
+    assert [value[name] for name in names_in(table)] == sorted(value.values(), reverse=True)
     assert header.get_attribute("aria-sort") == "descending"
     by_error = page.locator("table.sortable").first.locator("th", has_text="ATE, SE(3)").locator("button")
     press(by_error)
@@ -203,10 +213,11 @@ def test_a_header_sorts_the_rows_and_again_reverses_them(opened, tiny, press):
 
 def test_a_missing_number_comes_last_either_way(opened, tiny):
     page = opened().page
-    button = page.locator("table.sortable").first.locator("th", has_text="NIS per").locator("button")
+    table = page.locator("table.sortable").nth(1)
+    button = table.locator("th", has_text="NIS per").locator("button")
     for _ in range(2):
         button.click()
-        cells = page.locator("table.sortable").first.locator("tbody tr").all()
+        cells = table.locator("tbody tr").all()
         missing = ["-" in row.locator("td").all_inner_texts() for row in cells]
         assert missing == sorted(missing)
         assert any(missing)
@@ -286,3 +297,131 @@ def test_paper_has_no_controls_and_shows_what_was_closed(opened):
     assert page.pdf(format="A4").startswith(b"%PDF")
     page.emulate_media(media="screen")
     wait_until(page, lambda: page.locator("details[open]").count() == 0)
+
+
+def hidden_columns(page):
+    """Boxes that are wider than what is seen of them and do not say so."""
+    return page.locator(".wide").evaluate_all(
+        """(boxes) => boxes.filter((box) => box.offsetParent && box.scrollWidth > box.clientWidth + 1
+          && getComputedStyle(box, "::before").content.indexOf("scroll") < 0).length"""
+    )
+
+
+def sideways(page):
+    """How many boxes that are seen scroll sideways."""
+    return page.locator(".wide").evaluate_all(
+        "(boxes) => boxes.filter((box) => box.offsetParent && box.scrollWidth > box.clientWidth + 1).length"
+    )
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_nothing_is_hidden_without_a_hint_to_scroll(opened, width):
+    page = opened(viewport={"width": width, "height": 900}).page
+    page.evaluate("for (const item of document.querySelectorAll('details')) item.open = true")
+    page.wait_for_timeout(200)
+    assert hidden_columns(page) == 0
+    # On a wide screen the estimators' tables and the figures fit; on a phone some of both have to scroll.
+    assert (sideways(page) == 0) is (width == 1400)
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+
+
+def test_the_smallest_text_on_a_phone_is_11_px(opened):
+    page = opened(viewport={"width": 390, "height": 844}).page
+    page.evaluate("for (const item of document.querySelectorAll('details')) item.open = true")
+    sizes = page.evaluate(
+        """() => [...document.querySelectorAll("body *")]
+          .filter((item) => [...item.childNodes].some((node) => node.nodeType === 3 && node.data.trim())
+            && !["SCRIPT", "STYLE"].includes(item.tagName) && item.getClientRects().length)
+          .map((item) => parseFloat(getComputedStyle(item).fontSize)
+            * (item.getScreenCTM ? Math.hypot(item.getScreenCTM().a, item.getScreenCTM().b) : 1))"""
+    )
+    assert len(sizes) > 300
+    assert min(sizes) > 10.95
+
+
+def test_the_wheel_scrolls_the_page_until_the_scene_has_the_focus(opened):
+    page = opened(viewport={"width": 1000, "height": 700}).drawn()
+    page.locator("#scene-plot").evaluate("(plot) => plot.scrollIntoView({block: 'center'})")
+    box = page.locator("#scene-plot").bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 200)
+    place = "document.scrollingElement.scrollTop"
+    before = page.evaluate(place)
+    page.mouse.wheel(0, 120)
+    wait_until(page, lambda: page.evaluate(place) > before + 50)
+    page.locator("#scene-plot").evaluate("(plot) => plot.scrollIntoView({block: 'center'})")
+    page.mouse.click(box["x"] + 300, box["y"] + 200)
+    page.wait_for_timeout(300)
+    before, picture = page.evaluate(place), pixels(page)
+    page.mouse.wheel(0, 120)
+    page.wait_for_timeout(500)
+    assert page.evaluate(place) == before
+    assert np.abs(pixels(page) - picture).max() > 0.3
+    page.keyboard.press("Escape")
+    page.mouse.wheel(0, 120)
+    wait_until(page, lambda: page.evaluate(place) > before + 50)
+
+
+def square(tiny):
+    """The tiny comparison with one run whose path is a square of 100 m."""
+    run = tiny.runs["ekf"]
+    corner = np.array([[0, 0], [100, 0], [100, 100], [0, 100], [0, 0]], float)
+    world = np.tile(np.eye(4), (len(run.stamp), 1, 1))
+    along = np.linspace(0.0, 4.0, len(world))
+    world[:, :2, 3] = np.column_stack([np.interp(along, np.arange(5), values) for values in corner.T])
+    return altered(run, world_T_imu=world, map=None)
+
+
+def test_a_square_loop_is_square_from_above(tiny, browser, tmp_path):
+    runs = {"ekf": square(tiny)}
+    record = replace(tiny.record, reference=None)
+    shown = Shown.of(runs, record, evaluation := evaluate_runs(runs, record), ())
+    parts = {"runs": runs, "record": record, "evaluation": evaluation, "travelled": shown.travelled()}
+    tiny.page(tmp_path / "report.html", figures={}, scene=scene_data(shown), **parts)
+    start = Opened(browser, tmp_path / "report.html")
+    page = start.drawn()
+    page.click("[data-view=above]")
+    page.wait_for_timeout(300)
+    red, green, blue = np.moveaxis(pixels(page), 2, 0)
+    drawn = (red - blue > 0.35) & (red - green > 0.15)
+    # The legend is at the upper left, apart from the box in the middle.
+    drawn[:, : drawn.shape[1] // 4] = False
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    assert np.ptp(rows) > 60
+    assert np.ptp(columns) / np.ptp(rows) == pytest.approx(1.0, abs=0.06)
+    start.context.close()
+    assert start.complaints() == []
+
+
+def test_figures_over_time_are_drawn_over_the_distance_and_back(opened):
+    page = opened().page
+    line = page.locator("#figure-height_attitude g[id*='line2d'] path[style*='var(--c1)']").first
+    label = page.locator("#figure-height_attitude text", has_text="time [s]")
+    before = line.get_attribute("d")
+    assert label.count() == 1
+    page.click("[data-abscissa=distance]")
+    assert label.count() == 0
+    assert page.locator("#figure-height_attitude text", has_text="distance travelled [m]").count() == 1
+    ends = [re.findall(r"[ML]\s*([\d.]+)", path) for path in (before, line.get_attribute("d"))]
+    assert len(ends[0]) == len(ends[1])
+    assert ends[0] != ends[1]
+    # Where the drive begins and ends is the same place in both.
+    assert float(ends[1][0]) == pytest.approx(float(ends[0][0]), abs=2.0)
+    assert (np.diff(np.array(ends[1], float)) >= 0.0).all()
+    page.click("[data-abscissa=time]")
+    assert line.get_attribute("d") == before
+
+
+def test_paper_has_the_whole_configuration_without_a_script(playwright, written):
+    plain = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    try:
+        page = plain.new_context(java_script_enabled=False).new_page()
+        page.goto(written.as_uri())
+        closed = page.locator("details pre").last.bounding_box()
+        page.emulate_media(media="print")
+        opened_up = page.locator("details pre").last.bounding_box()
+        assert opened_up["height"] > 500.0
+        assert closed is None or closed["height"] < opened_up["height"]
+        # A page printed whole: nothing of the configuration is cut off at the right.
+        assert page.locator("details pre").last.evaluate("(pre) => pre.scrollWidth <= pre.clientWidth + 1")
+    finally:
+        plain.close()

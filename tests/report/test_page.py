@@ -11,9 +11,11 @@ import pytest
 
 from tests.records import altered
 from vislam.evaluation import evaluate
+from vislam.report import time_figures
+from vislam.report.colours import COLOURS, colours
 from vislam.report.figures import all_figures, figure_names
 from vislam.report.scene import scene_data, three_sigma_axes
-from vislam.report.shown import COLOURS, Shown
+from vislam.report.shown import Shown
 from vislam.report.svg import themed_svg
 
 EVIL = "<script>alert(1)</script>\"&'"
@@ -107,7 +109,7 @@ def test_the_same_results_give_the_same_bytes(tiny, tmp_path):
 def test_figures_have_no_black_white_or_series_colour_of_their_own(tiny):
     for name, drawing in all_figures(tiny.shown).items():
         svg = themed_svg(drawing.figure, name, colours=COLOURS)
-        for colour in ("#000000", "#ffffff", *COLOURS[: len(tiny.runs)]):
+        for colour in ("#000000", "#ffffff", *COLOURS):
             assert colour.lower() not in svg
         assert "currentColor" in svg
         assert "var(--c" in svg
@@ -142,21 +144,19 @@ def test_each_metric_of_the_table_has_its_definition_one_click_away(text, elemen
 def test_names_and_notes_are_text_whatever_they_hold(tiny, tmp_path):
     runs = {EVIL: altered(tiny.runs["ekf"], name=EVIL, error=EVIL, events=(EVIL,), counts={EVIL: 1})}
     reference = replace(tiny.record.reference, name=EVIL, limits=EVIL)
-    record = replace(tiny.record, reference=reference)
+    record = replace(tiny.record, reference=reference, notes=(EVIL,), provenance={EVIL: EVIL})
     evaluation = evaluate(runs, record)
     shown = Shown.of(runs, record, evaluation, ())
     text = tiny.page(
         tmp_path / "report.html",
         title=EVIL,
-        notes=(EVIL,),
         runs=runs,
-        reference=reference,
+        record=record,
         evaluation=evaluation,
         figures=all_figures(shown),
         scene=scene_data(shown),
         checks=[(None, EVIL)],
         frozen=EVIL,
-        provenance=EVIL,
         config=EVIL,
     )
     assert "<script>alert" not in text
@@ -169,7 +169,13 @@ def test_a_page_without_reference_runs_or_scene_is_whole(tiny, tmp_path):
     shown = Shown({}, record, evaluate({}, record), ())
     assert scene_data(shown)["runs"] == []
     text = tiny.page(
-        tmp_path / "report.html", runs={}, reference=None, evaluation=shown.evaluation, figures={}, scene={}
+        tmp_path / "report.html",
+        runs={},
+        record=record,
+        evaluation=shown.evaluation,
+        figures={},
+        scene={},
+        travelled=shown.travelled(),
     )
     assert not Elements(text).open
     assert "plotly" not in text.lower()
@@ -189,6 +195,41 @@ def test_a_run_without_covariances_or_map_is_drawn(tiny):
 def test_the_page_is_small(text):
     assert len(without_bundle(text)) < 1_500_000
     assert len(text.encode()) < 7_000_000
+
+
+def test_a_name_has_one_colour_wherever_it_is_shown():
+    few, many = colours(["isam2", "ekf"]), colours(["dead_reckoning", "ekf", "mine", "isam2", "eks"])
+    assert few["ekf"] == many["ekf"]
+    assert few["isam2"] == many["isam2"]
+    assert colours(["mine"])["mine"] == many["mine"] or many["mine"] not in (few["ekf"], few["isam2"])
+    assert len(set(many.values())) == len(many)
+    assert len(set(colours(map(str, range(len(COLOURS)))).values())) == len(COLOURS)
+    assert len(colours(map(str, range(40)))) == 40
+
+
+def test_no_letter_of_a_figure_is_smaller_than_11_px_at_its_least_width(text):
+    figures = re.findall(r'<svg role="img"[^>]*>.*?</svg>', text, re.DOTALL)
+    assert len(figures) > 10
+    for svg in figures:
+        width = float(re.search(r'viewBox="0 0 ([\d.]+)', svg)[1])
+        least = float(re.search(r"min-width: (\d+)px", svg)[1])
+        sizes = [float(size) for size in re.findall(r"font-size: ([\d.]+)px", svg)]
+        assert min(sizes) * least / width > 10.95
+        assert least < 700
+
+
+def test_what_sees_nothing_sets_no_scale_and_says_how_far_it_goes(tiny):
+    far = tiny.runs["dead_reckoning"]
+    world = far.filtered.world_T_imu.copy()
+    world[:, 2, 3] += np.linspace(0.0, 1e3, len(world))
+    runs = tiny.runs | {"dead_reckoning": replace(far, filtered=replace(far.filtered, world_T_imu=world))}
+    evaluation = evaluate(runs, tiny.record)
+    shown = Shown.of(runs, tiny.record, evaluation, ())
+    height = time_figures.height_attitude(shown).axes[0]
+    assert np.ptp(height.get_ylim()) < 10.0
+    assert any("dead_reckoning: to" in told.get_text() for told in height.texts)
+    scene = scene_data(shown)
+    assert np.subtract(scene["high"], scene["low"]).max() < 300.0
 
 
 def unpacked(values):

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from vislam.base.errors import INTERRUPTED, DataError
-from vislam.base.files import replace_whole, write_text
+from vislam.base.files import write_text
 from vislam.base.progress import Progress
-from vislam.checks.judge import Checklist, Demanding, Verdict
+from vislam.checks.judge import Checklist, Demanding, Verdict, summary
 from vislam.checks.junit import write_junit
 from vislam.comparison import config as configuration
 from vislam.comparison.keeping import RUNS
@@ -26,9 +26,10 @@ from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import all_figures
 from vislam.report.noticed import noticed_lines, read_lines
-from vislam.report.page import clear_report, write_page
+from vislam.report.page import Content, clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
+from vislam.report.svg import save_png
 from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
 from vislam.report.verdict import answer
@@ -40,7 +41,6 @@ ROBUSTNESS = "robustness"
 """Name of the file, and of the folder below the results, that hold what the settings do to the errors."""
 PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.png")
 """A file of each folder that results are written to, and those that earlier results may have left."""
-_DPI = 130
 
 
 class Described(Demanding, Protocol):
@@ -196,27 +196,25 @@ def _write_report(
     shown = Shown.of(runs, record, evaluation, rungs)
     figures = all_figures(shown)
     for name, drawing in figures.items():
-        with replace_whole(path.parent / "figures" / f"{name}.png") as temporary:
-            drawing.figure.savefig(temporary, format="png", dpi=_DPI)
+        save_png(drawing.figure, path.parent / "figures" / f"{name}.png")
     write_page(
         path,
-        title=results.title,
-        notes=record.notes,
-        runs=runs,
-        evaluation=evaluation,
-        rungs=rungs,
-        reference=record.reference,
-        counts=record.counts,
-        repairs=record.repairs,
-        frozen=results.frozen_told(),
-        figures=figures,
-        scene=scene_data(shown),
-        checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
-        provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
-        config=configuration.dump(results.config),
-        unequal=unequal_line(results.shared_information()),
-        spread=results.spread,
-        noticed=noticed_lines(results.own),
+        Content(
+            title=results.title,
+            runs=runs,
+            record=record,
+            evaluation=evaluation,
+            rungs=rungs,
+            figures=figures,
+            scene=scene_data(shown),
+            travelled=shown.travelled(),
+            config=configuration.dump(results.config),
+            checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
+            frozen=results.frozen_told(),
+            unequal=unequal_line(results.shared_information()),
+            spread=results.spread,
+            noticed=noticed_lines(results.own),
+        ),
     )
 
 
@@ -308,6 +306,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
                 progress.note(f"{name}, {estimate}, is degenerate and not ranked: {reason}")
     for verdict in published.verdicts:
         progress.note(verdict.line())
+    if len(published.verdicts) > 1:
+        progress.note(summary(published.verdicts))
 
 
 def conclude(results: Results, published: Published, *, junit: Path | None, rerun: Path | None) -> int:

@@ -13,7 +13,10 @@ from vislam.core.run import Run
 from vislam.evaluation.metric import of_statistic
 from vislam.evaluation.normalised import COMPONENTS, PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
-from vislam.report.shown import COLOURS, Shown
+from vislam.report.canvas import TIME, legend, logarithmic, new_figure, panels
+from vislam.report.colours import COLOURS
+from vislam.report.shown import Shown
+from vislam.report.time_figures import three_sigma_band
 
 _MAIN = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 """Statistics of which the first that a run has is drawn over time."""
@@ -42,17 +45,17 @@ def nees(shown: Shown) -> Figure | None:
     claims = main_claims(shown)
     if not claims:
         return None
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 4.0)
     for name, claim in claims.items():
         values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
-        axes.plot(claim.index, values, lw=0.9, color=shown.colour(name), label=literal(name))
+        axes.plot(shown.time_at(claim.index), values, lw=0.9, color=shown.colour(name), label=literal(name))
     freedom = next(iter(claims.values())).whitened.shape[1]
     low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
     axes.axhline(1.0, color="k", lw=0.6)
-    axes.set(xlabel="frame", ylabel=_title(claims), yscale="log")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    axes.set(xlabel=TIME, ylabel=_title(claims))
+    logarithmic(axes)
+    legend(figure, axes, columns=2)
     return figure
 
 
@@ -70,21 +73,22 @@ def bands(shown: Shown) -> Figure | None:
     components = [("x", "m"), ("y", "m"), ("z", "m")][:size]
     if size == len(COMPONENTS):
         components = list(zip(COMPONENTS, ["deg"] * 3 + ["m"] * 3, strict=True))
-    figure = Figure(figsize=(7.2, 1.0 + 1.3 * size), layout="constrained")
-    rows = figure.subplots(size, 1, sharex=True, squeeze=False)[:, 0]
+    figure, rows = panels(size, 1.0 + 1.25 * size)
     for index, (axes, (component, unit)) in enumerate(zip(rows, components, strict=True)):
         scale = float(np.rad2deg(1.0)) if unit == "deg" else 1.0
         reach = 0.0
         for name, claim in claims.items():
             error, limit = scale * claim.error[:, index], _SIGMAS * scale * claim.sigma[:, index]
-            axes.plot(claim.index, error, lw=0.9, color=shown.colour(name), label=literal(name))
-            axes.fill_between(claim.index, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
+            time = shown.time_at(claim.index)
+            axes.plot(time, error, lw=0.9, color=shown.colour(name), label=literal(name))
+            axes.fill_between(time, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
             reach = max(reach, 1.5 * float(np.abs(error).max()))
         axes.set_ylabel(f"{component} [{unit}]")
         if reach > 0.0:
             axes.set_ylim(-reach, reach)
-    rows[-1].set_xlabel("frame")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    three_sigma_band(rows[0])
+    rows[-1].set_xlabel(TIME)
+    legend(figure, rows[0])
     return figure
 
 
@@ -93,14 +97,14 @@ def coverage(shown: Shown) -> Figure | None:
     claims = main_claims(shown)
     if not claims:
         return None
-    figure = Figure(figsize=(7.2, 4.4), layout="constrained")
+    figure = new_figure(4.6)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="nominal")
     for name, claim in claims.items():
         axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=literal(name))
     axes.set(xlabel="nominal share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
     axes.set_aspect("equal")
-    axes.legend(loc="best", fontsize=8)
+    legend(figure, axes)
     return figure
 
 
@@ -110,7 +114,7 @@ def whiteness(shown: Shown) -> Figure | None:
     there = {name: one for name, one in found.items() if one is not None}
     if not there:
         return None
-    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    figure = new_figure(3.6)
     axes = figure.subplots()
     width = 0.8 / len(there)
     for index, (name, one) in enumerate(there.items()):
@@ -123,7 +127,7 @@ def whiteness(shown: Shown) -> Figure | None:
         ylabel="autocorrelation of the NIS",
         xlim=(0.4, LAGS + 0.6),
     )
-    axes.legend(loc="best", fontsize=8)
+    legend(figure, axes)
     return figure
 
 
@@ -132,18 +136,18 @@ def distances(shown: Shown) -> Figure | None:
     pairs = shown.agreements()
     if not pairs:
         return None
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 4.2)
     for index, (pair, found) in enumerate(pairs.items()):
         label, colour = " and ".join(pair), COLOURS[index % len(COLOURS)]
         squared = np.maximum(found.squared / 6.0, _LOWEST)
-        axes.plot(found.frame, squared, lw=0.9, color=colour, label=literal(label))
+        axes.plot(shown.time_at(found.frame), squared, lw=0.9, color=colour, label=literal(label))
         frame = found.parting()
         if frame is not None:
-            axes.axvline(frame, color=colour, lw=0.9, ls=":")
+            axes.axvline(float(shown.time_at(np.array(frame))), color=colour, lw=0.9, ls=":")
     axes.axhline(chi2.ppf(0.95, 6) / 6.0, color="k", lw=0.8, ls="--", label="95 % bound")
-    axes.set(xlabel="frame", ylabel="squared distance per degree of freedom", yscale="log")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
+    axes.set(xlabel=TIME, ylabel="squared distance per degree of freedom")
+    logarithmic(axes)
+    legend(figure, axes, columns=2)
     return figure
 
 
@@ -154,17 +158,17 @@ def parting(shown: Shown) -> Figure | None:
         return None
     columns = min(len(parted), 2)
     lines = -(-len(parted) // columns)
-    figure = Figure(figsize=(7.2, 3.4 * lines), layout="constrained")
-    panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    for axes, (pair, frame) in zip(panels, parted.items(), strict=False):
+    figure = new_figure(0.4 + 3.2 * lines)
+    cells = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes, (pair, frame) in zip(cells, parted.items(), strict=False):
         for name in pair:
             _ellipses(axes, shown.runs[name], frame, colour=shown.colour(name))
         axes.set_title(literal(f"{pair[0]} and {pair[1]}: frame {frame}"), fontsize=9)
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.legend(loc="best", fontsize=7)
-    for axes in panels[len(parted) :]:
+    for axes in cells[len(parted) :]:
         axes.set_axis_off()
+    legend(figure, *cells)
     return figure
 
 

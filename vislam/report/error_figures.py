@@ -7,7 +7,9 @@ from vislam.base.legible import literal
 from vislam.core.run import Estimate
 from vislam.evaluation.evaluate import headline
 from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
-from vislam.report.shown import COLOURS, Shown
+from vislam.report.canvas import SMALL, legend, logarithmic, new_figure
+from vislam.report.colours import COLOURS
+from vislam.report.shown import Shown
 
 _WIDTH = 0.8
 """Share of the room between two lengths that their boxes take."""
@@ -19,7 +21,7 @@ def segment_errors(shown: Shown) -> Figure | None:
     scores = {name: one for name, one in trajectories.items() if one is not None and one.by_distance}
     if not scores:
         return None
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = new_figure(4.0)
     axes = figure.subplots()
     lengths = sorted({length for one in scores.values() for length in one.by_distance})
     width = _WIDTH / max(len(scores), 1)
@@ -41,8 +43,9 @@ def segment_errors(shown: Shown) -> Figure | None:
         )
         drawn["boxes"][0].set_label(literal(name))
     axes.set_xticks(range(len(lengths)), [f"{length:g} m" for length in lengths])
-    axes.set(xlabel="length of the segment", ylabel="translation error [m]", yscale="log")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    axes.set(xlabel="length of the segment", ylabel="translation error [m]")
+    logarithmic(axes)
+    legend(figure, axes)
     return figure
 
 
@@ -51,7 +54,7 @@ def ladder(shown: Shown) -> Figure | None:
     rungs = shown.rungs
     if not rungs:
         return None
-    figure = Figure(figsize=(7.2, 0.8 + 0.45 * len(rungs)), layout="constrained")
+    figure = new_figure(0.9 + 0.5 * len(rungs))
     axes = figure.subplots()
     place = np.arange(len(rungs))
     spec = METRICS[rungs[0].key]
@@ -64,12 +67,13 @@ def ladder(shown: Shown) -> Figure | None:
         bars = axes.barh(place + offset, values, height=0.38, color=colour, label=ESTIMATE_TITLES[estimate])
         missing = "incomplete" if estimate == "filtered" else ""
         told = [f"{value:.{spec.digits}f}" if np.isfinite(value) else missing for value in values]
-        axes.bar_label(bars, told, fontsize=7, padding=3)
-    axes.set_yticks(place, [literal(f"{rung.run}: {rung.adds}") for rung in rungs], fontsize=8)
+        axes.bar_label(bars, told, fontsize=SMALL, padding=3)
+    axes.set_yticks(place, [literal(f"{rung.run}: {rung.adds}") for rung in rungs], fontsize=SMALL)
     axes.invert_yaxis()
-    axes.set(xlabel=spec.label, xscale="log")
+    axes.set(xlabel=spec.label)
+    logarithmic(axes, "x")
     axes.margins(x=0.15)
-    axes.legend(loc="lower right", fontsize=8)
+    legend(figure, axes)
     return figure
 
 
@@ -77,7 +81,7 @@ def accuracy_against_time(shown: Shown) -> Figure | None:
     """Error against the time that it took, a point for each complete run."""
     key = "held_out_median" if shown.reference is None else headline(shown.reference)
     time = "total_time_s"
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = new_figure(4.0)
     axes = figure.subplots()
     for name, run in shown.runs.items():
         error, seconds = (shown.evaluation.value(name, one, shown.estimate) for one in (key, time))
@@ -85,7 +89,8 @@ def accuracy_against_time(shown: Shown) -> Figure | None:
             continue
         axes.plot(seconds, error, "o", ms=9, color=shown.colour(name))
         axes.annotate(literal(name), (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
-    axes.set(xlabel=METRICS[time].label, ylabel=METRICS[key].label, xscale="log", yscale="log")
+    axes.set(xlabel=METRICS[time].label, ylabel=METRICS[key].label)
+    logarithmic(axes, "xy")
     if not axes.lines:
         return None
     axes.margins(0.2)

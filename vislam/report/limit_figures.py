@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 
 from vislam.base.legible import literal
 from vislam.evaluation.metric import LAG_METRICS
+from vislam.report.canvas import SMALL, TIME, legend, logarithmic, new_figure
 from vislam.report.shown import Shown
 
 
@@ -18,7 +19,7 @@ def lag_curve(shown: Shown) -> Figure | None:
     specs = [spec for key, spec in LAG_METRICS.items() if key in found]
     if not specs:
         return None
-    figure = Figure(figsize=(7.2, 1.0 + 2.1 * len(specs)), layout="constrained")
+    figure = new_figure(1.0 + 2.1 * len(specs))
     rows = figure.subplots(len(specs), 1, sharex=True, squeeze=False)[:, 0]
     labels = list(
         dict.fromkeys(lag.label for lags in scored.values() for lag in lags if lag.frames is not None)
@@ -33,15 +34,15 @@ def lag_curve(shown: Shown) -> Figure | None:
             place, value = np.array(known).reshape(-1, 2).T
             axes.plot(place, value, "o-", ms=4, lw=1.2, color=shown.colour(name), label=literal(name))
         axes.set(ylabel=f"{spec.short_title}\n[{spec.unit}]" if spec.unit else spec.short_title)
-        axes.yaxis.label.set_fontsize(8)
+        axes.yaxis.label.set_fontsize(SMALL)
         axes.grid(alpha=0.3, lw=0.4)
         if spec.better == "one":
-            axes.set_yscale("log")
+            logarithmic(axes)
             axes.axhline(1.0, color="k", lw=0.6)
     told = ["all" if (at := seconds[label]) is None else f"{at:.2g}" for label in labels if label in seconds]
     rows[-1].set_xticks(range(len(told)), told)
     rows[-1].set_xlabel("lag [s]")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    legend(figure, rows[0])
     return figure
 
 
@@ -51,7 +52,7 @@ def bound(shown: Shown) -> Figure | None:
     known = {name: one for name, one in scores.items() if one is not None}
     if not known:
         return None
-    figure = Figure(figsize=(7.2, 5.0), layout="constrained")
+    figure = new_figure(5.0)
     rows = figure.subplots(2, 1, sharex=True)
     for axes, (part, scale, unit) in zip(
         rows, (("rotation", np.rad2deg(1.0), "deg"), ("position", 1.0, "m")), strict=True
@@ -64,6 +65,6 @@ def bound(shown: Shown) -> Figure | None:
         axes.plot(time, scale * longest.least_sigma(part), color="k", lw=1.6, label="bound (rms)")
         axes.set(ylabel=f"{part} error [{unit}]", yscale="log")
         axes.grid(alpha=0.3, lw=0.4)
-    rows[-1].set_xlabel("time [s]")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    rows[-1].set_xlabel(TIME)
+    legend(figure, rows[0])
     return figure

@@ -1,4 +1,4 @@
-// Theme, sorting and print of the page. The 3-D scene is in scene.js.
+// Theme, sorting, scroll hints and print of a page. The abscissa is in figures.js, the 3-D scene in scene.js.
 "use strict";
 (() => {
   const root = document.documentElement;
@@ -42,6 +42,17 @@
     button.append(...header.childNodes);
     button.addEventListener("click", () => sort(header));
     header.append(button, ...(what ? [what] : []));
+  }
+
+  // A box that does not show all that is in it says so.
+  const boxes = [...document.querySelectorAll(".wide")];
+  const hint = (box) => box.toggleAttribute("data-overflows", box.scrollWidth > box.clientWidth + 1);
+  const sizes = new ResizeObserver((entries) => {
+    for (const entry of entries) hint(entry.target);
+  });
+  for (const box of boxes) {
+    hint(box);
+    sizes.observe(box);
   }
 
   // On paper nothing can be opened.

@@ -2,19 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from vislam.base.files import remove, write_text
 from vislam.base.legible import visible_lines
-from vislam.core.reference import Reference
+from vislam.base.types import Array
+from vislam.core.record import Record
 from vislam.core.run import Run
-from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.definitions import DEFINITIONS
@@ -24,6 +26,8 @@ from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part
 from vislam.report.page_tables import (
     counts_table,
+    errors_table,
+    grouped,
     lags_table,
     maps_table,
     pairs_table,
@@ -32,39 +36,38 @@ from vislam.report.page_tables import (
     smoothing_table,
     worst_table,
 )
-from vislam.report.table import Table, comparison_tables
+from vislam.report.table import comparison_tables
 from vislam.report.verdict import verdict
 
+WIDE = ("top_view", "ladder")
+"""Figures that take the whole width of a page."""
+_ABSCISSA = 1000
+"""Points of the distance over time that a page has at most."""
 
-def write_page(
-    path: Path,
-    *,
-    title: str,
-    notes: tuple[str, ...],
-    runs: Mapping[str, Run],
-    evaluation: Evaluation,
-    rungs: Sequence[Rung],
-    reference: Reference | None,
-    counts: Mapping[str, int],
-    repairs: Sequence[Repair],
-    frozen: str,
-    figures: Mapping[str, Drawing],
-    scene: Mapping[str, Any],
-    provenance: str,
-    config: str,
-    checks: Sequence[tuple[bool | None, str]] = (),
-    unequal: str = "",
-    spread: Spread | None = None,
-    noticed: Sequence[str] = (),
-) -> None:
-    """Write the page, whole or not at all; it needs no other file and no network.
 
-    Parameters
+@dataclass(frozen=True)
+class Content:
+    """What a page shows of a comparison.
+
+    Attributes
     ----------
+    title : str
+    runs : mapping of str to Run
+    record : Record
+        Of the drive.
+    evaluation : Evaluation
+    rungs : sequence of Rung
+    figures : mapping of str to Drawing
     scene : mapping
         What :func:`vislam.report.scene.scene_data` gives; empty for a page without a scene.
+    travelled : (Array, Array)
+        Times [s] and the distances travelled until then [m], by which a page draws time as distance.
+    config : str
+        The effective configuration.
     checks : sequence of (holds, text)
         Shown first; None where it cannot be told whether a check holds.
+    frozen : str
+        What there is to say of the common list of observations.
     unequal : str
         In what the runs' information differed; empty if in nothing.
     spread : Spread or None
@@ -72,43 +75,78 @@ def write_page(
     noticed : sequence of str
         What of trajectories from elsewhere would fool their scores.
     """
+
+    title: str
+    runs: Mapping[str, Run]
+    record: Record
+    evaluation: Evaluation
+    rungs: Sequence[Rung]
+    figures: Mapping[str, Drawing]
+    scene: Mapping[str, Any]
+    travelled: tuple[Array, Array]
+    config: str
+    checks: Sequence[tuple[bool | None, str]] = ()
+    frozen: str = ""
+    unequal: str = ""
+    spread: Spread | None = None
+    noticed: Sequence[str] = ()
+
+
+def write_page(path: Path, content: Content) -> None:
+    """Write the page, whole or not at all; it needs no other file and no network."""
+    runs, record, evaluation, scene = content.runs, content.record, content.evaluation, content.scene
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
     shown = [spec for spec in METRICS.values() if spec.label in rows and spec.key in DEFINITIONS]
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
     text = template.render(
-        title=title,
-        notes=notes,
+        title=content.title,
+        notes=record.notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
-        checks=checks,
-        verdict=[*noticed, *verdict(runs, evaluation, reference, unequal=unequal, spread=spread)],
-        reference=reference,
-        tables=[(ESTIMATE_TITLES[estimate], _turned(table)) for estimate, table in tables.items()],
+        checks=content.checks,
+        verdict=[
+            *content.noticed,
+            *verdict(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread),
+        ],
+        reference=record.reference,
+        tables=[(ESTIMATE_TITLES[estimate], grouped(table)) for estimate, table in tables.items()],
         defined={spec.label: f"metric-{spec.key}" for spec in shown},
         definitions=[(spec.key, spec.label, DEFINITIONS[spec.key]) for spec in shown],
-        rungs=rungs_table(rungs),
+        errors=errors_table(evaluation),
+        rungs=rungs_table(content.rungs),
         pairs=pairs_table(evaluation),
         smoothing=smoothing_table(evaluation),
         maps=maps_table(evaluation),
         worst=worst_table(evaluation),
         lags=lags_table(evaluation),
-        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in figures.items()],
+        figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in content.figures.items()],
+        wide=WIDE,
+        travelled=htmlsafe_json_dumps(_abscissa(*content.travelled)),
         scene=htmlsafe_json_dumps(scene) if scene else "",
         scene_note=_scene_note(scene) if scene else "",
-        counts=counts_table(counts, repairs, runs),
-        repairs=repairs_table(repairs),
-        frozen=frozen,
+        counts=counts_table(record.counts, record.repairs, runs),
+        repairs=repairs_table(record.repairs),
+        frozen=content.frozen,
         events={name: run.log.events for name, run in runs.items() if run.log.events},
-        provenance=provenance,
-        config=config,
+        provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
+        config=content.config,
         draw=draw_table,
         css=part("page.css"),
         page_js=part("page.js"),
+        figures_js=part("figures.js"),
         scene_js=part("scene.js"),
         plotly=Markup(get_plotlyjs()) if scene else "",
     )
     write_text(path, text)
+
+
+def _abscissa(time: Array, distance: Array) -> list[list[float]]:
+    """Times and distances, thinned out and rounded to what a figure shows."""
+    if not len(time):
+        return []
+    rows = np.unique(np.linspace(0, len(time) - 1, min(len(time), _ABSCISSA)).astype(int))
+    return [[round(float(value), 3) for value in values[rows]] for values in (time, distance)]
 
 
 def clear_report(folder: Path) -> None:
@@ -135,9 +173,3 @@ def _scene_note(scene: Mapping[str, Any]) -> str:
     said = f"Landmarks drawn: {drawn}; those far from all the paths are left out. " if drawn else ""
     flat = scene["reference"] is not None and scene["reference"]["flat"]
     return said + ("The reference has no height and lies at that of the start." if flat else "")
-
-
-def _turned(table: Table) -> Table:
-    """The table with rows and columns exchanged: a row for each estimator."""
-    header, *rows = zip(table.header, *table.rows, strict=True)
-    return Table(["estimator", *header[1:]], rows)

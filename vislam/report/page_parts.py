@@ -6,10 +6,13 @@ from importlib.resources import files
 from markupsafe import Markup, escape
 
 from vislam.base.legible import visible
+from vislam.report.colours import COLOURS
 from vislam.report.figures import Drawing
-from vislam.report.shown import COLOURS
 from vislam.report.svg import themed_svg
 from vislam.report.table import Table
+
+_HINT = 'data-hint="scroll sideways \u2194"'
+"""What a box says when not all of it is seen."""
 
 
 def part(name: str) -> Markup:
@@ -18,10 +21,15 @@ def part(name: str) -> Markup:
 
 
 def inline_svg(name: str, drawing: Drawing) -> Markup:
-    """A figure as a labelled element; ``name`` goes before its ids."""
+    """A figure as a labelled element in a box that scrolls; ``name`` goes before its ids."""
     svg = themed_svg(drawing.figure, name, colours=COLOURS)
     label = escape(f"{drawing.title}: {drawing.caption}")
-    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
+    drawn = svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
+    title = escape(drawing.title)
+    return Markup(
+        f'<div class="wide" tabindex="0" role="group" aria-label="{title}, can be scrolled" {_HINT}>'
+        f"{drawn}</div>"
+    )
 
 
 def draw_table(table: Table, caption: str, kind: str, defined: Mapping[str, str] | None = None) -> Markup:
@@ -40,7 +48,7 @@ def draw_table(table: Table, caption: str, kind: str, defined: Mapping[str, str]
     )
     label = escape(caption)
     return Markup(
-        f'<div class="wide" tabindex="0" role="group" aria-label="{label}, can be scrolled">'
+        f'<div class="wide" tabindex="0" role="group" aria-label="{label}, can be scrolled" {_HINT}>'
         f'<table class="{kind}" aria-label="{label}"><thead><tr>{header}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )

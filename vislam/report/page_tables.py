@@ -1,6 +1,6 @@
 """The tables of the page that the terminal does not show."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -10,10 +10,62 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import mean_step_ms
-from vislam.evaluation.metric import LAG_METRICS, METRICS
+from vislam.evaluation.metric import LAG_METRICS, METRICS, is_error
 from vislam.evaluation.smoothing import SmoothingDifference
-from vislam.evaluation.trajectory_scores import WORST_LENGTH
+from vislam.evaluation.trajectory import Statistics
+from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
 from vislam.report.table import Table
+
+_GROUPS = ("Accuracy and prediction", "Consistency", "Work and cost")
+_OF_ACCURACY = ("path_length", "height_end")
+_OF_WORK = ("landmarks", "observations_used", "observations_gated")
+
+
+def grouped(table: Table) -> list[tuple[str, Table]]:
+    """The table of a comparison turned, a row an estimator, in parts by what its metrics are about."""
+    status = [row for row in table.rows if row[0] == "status"]
+    found = []
+    for group in _GROUPS:
+        rows = [row for row, key in zip(table.rows, table.keys, strict=True) if key and _group(key) == group]
+        if rows:
+            header, *body = zip(table.header, *status, *rows, strict=True)
+            found.append((group, Table(["estimator", *header[1:]], body)))
+    return found
+
+
+def _group(key: str) -> str:
+    if is_error(key) or key in _OF_ACCURACY:
+        return _GROUPS[0]
+    if key in _OF_WORK or key.endswith(("_time_s", "_ms", "_mb")):
+        return _GROUPS[2]
+    return _GROUPS[1]
+
+
+def errors_table(evaluation: Evaluation) -> Table:
+    """Root mean square, mean, median and largest of the errors of each estimate of each run."""
+    rows = []
+    for name, one in evaluation.scores.items():
+        for estimate, found in one.estimates.items():
+            if found.trajectory is not None:
+                for what, unit, scale, values in _errors(found.trajectory):
+                    told = [
+                        f"{scale * value:.3f}"
+                        for value in (values.rmse, values.mean, values.median, values.max)
+                    ]
+                    rows.append([name, estimate, f"{what} [{unit}]", *told])
+    return Table(["estimator", "estimate", "error", "rmse", "mean", "median", "max"], rows)
+
+
+def _errors(scores: TrajectoryScores) -> Iterator[tuple[str, str, float, Statistics]]:
+    degrees = float(np.rad2deg(1.0))
+    yield "position, aligned", "m", 1.0, scores.headline.position
+    if scores.headline.rotation is not None:
+        yield "attitude, aligned", "deg", degrees, scores.headline.rotation
+    for length, one in scores.by_distance.items():
+        if one.translation is not None:
+            yield f"over {length:g} m", "m", 1.0, one.translation
+        if one.rotation is not None:
+            yield f"over {length:g} m", "deg", degrees, one.rotation
 
 
 def rungs_table(rungs: Sequence[Rung]) -> Table:

@@ -21,8 +21,8 @@ from vislam.core.record import Record
 from vislam.core.reference import Reference
 from vislam.core.run import Run
 from vislam.evaluation.trajectory_scores import headline_alignment
+from vislam.report.colours import colours
 from vislam.report.placement import origin, place, principal_axes
-from vislam.report.shown import colours
 
 _SIGMAS = 3.0
 _AXIS_LENGTH = 2.0

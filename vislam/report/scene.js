@@ -25,11 +25,12 @@
     plot.style.color = "";
     return found;
   };
-  const runColour = (index) => colour(`--c${index % 9}`);
+  const runColour = (index) => colour(`--c${runs[index].colour}`);
 
   const stamp = decode(data.stamp);
   const runs = data.runs.map((run) => ({
     name: run.name,
+    colour: run.colour,
     path: columns(decode(run.path)),
     landmarks: columns(decode(run.landmarks)),
     firstSeen: decode(run.first_seen),
@@ -38,7 +39,10 @@
     attitude: decode(run.attitude),
     semiAxes: decode(run.semi_axes),
   }));
-  const extent = Math.max(...data.high.map((value, axis) => value - data.low[axis]));
+  const spans = data.high.map((value, axis) => value - data.low[axis]);
+  const extent = Math.max(...spans);
+  // The library's own "data" takes the proportions of what is drawn, not those of the box that is shown.
+  const proportions = Object.fromEntries(["x", "y", "z"].map((name, axis) => [name, (1.6 * spans[axis]) / extent]));
   const axisLength = 0.02 * extent;
   const circle = Array.from({ length: 33 }, (_, index) => (2 * Math.PI * index) / 32);
 
@@ -145,7 +149,7 @@
       margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept", paper_bgcolor: "rgba(0,0,0,0)",
       font: { color: ink, size: 12, family: getComputedStyle(document.body).fontFamily },
       legend: { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)", itemsizing: "constant", tracegroupgap: 0 },
-      scene: { xaxis: x, yaxis: y, zaxis: z, aspectmode: "data", camera: views.oblique, uirevision: "kept" },
+      scene: { xaxis: x, yaxis: y, zaxis: z, aspectmode: "manual", aspectratio: proportions, camera: views.oblique, uirevision: "kept" },
     };
   };
   const settings = { displayModeBar: false, responsive: true, showLink: false };
@@ -191,6 +195,15 @@
   for (const button of document.querySelectorAll("[data-view]")) {
     button.addEventListener("click", () => Plotly.relayout(plot, { "scene.camera": views[button.dataset.view] }));
   }
+
+  // The wheel is the page's, unless the scene was clicked or reached by the keyboard.
+  plot.addEventListener("wheel", (event) => {
+    if (!plot.contains(document.activeElement)) event.stopPropagation();
+  }, { capture: true });
+  plot.addEventListener("pointerdown", () => plot.focus({ preventScroll: true }), { capture: true });
+  plot.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") document.activeElement.blur();
+  });
 
   element("scene-body").hidden = false;
   tell();

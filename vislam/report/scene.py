@@ -10,6 +10,7 @@ from vislam.base.legible import visible
 from vislam.base.types import Array
 from vislam.core.run import Run
 from vislam.geometry import se3
+from vislam.report.colours import COLOURS
 from vislam.report.shown import Shown
 
 _MOST_LANDMARKS = 4000
@@ -30,7 +31,7 @@ def scene_data(shown: Shown) -> dict[str, Any]:
         name: se3.transform(pose, shown.positions(shown.runs[name].final.world_T_imu))
         for name, pose in placed.items()
     }
-    every = np.concatenate([*paths.values(), np.zeros((0, 3))])
+    every = np.concatenate([*(paths[name] for name in shown.seeing()), np.zeros((0, 3))])
     low, high = (every.min(axis=0), every.max(axis=0)) if len(every) else (np.zeros(3), np.ones(3))
     reference = shown.reference
     return {
@@ -46,7 +47,7 @@ def scene_data(shown: Shown) -> dict[str, Any]:
             "position": _packed(_solid(reference.position)),
         },
         "runs": [
-            {"name": name, "path": _packed(paths[name])}
+            {"name": name, "colour": COLOURS.index(shown.colour(name)), "path": _packed(paths[name])}
             | _moving(shown, run, placed[name])
             | _landmarks(shown, run, placed[name], low=low - _MARGIN, high=high + _MARGIN)
             for name, run in shown.runs.items()

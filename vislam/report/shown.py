@@ -1,6 +1,6 @@
 """What the figures and the scene are drawn from."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,18 +13,10 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.scores import EstimateScores
+from vislam.evaluation.trajectory import distance_driven
+from vislam.evaluation.trajectory_scores import TrajectoryScores
 from vislam.geometry import se3
-
-# Okabe and Ito's colours, which the colour-blind can tell apart; for more runs than six, some of Tol's.
-COLOURS = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"),
-    *("#332288", "#999933", "#882255"),
-)
-
-
-def colours(names: Iterable[str]) -> dict[str, str]:
-    """One colour for each run, the same wherever it is drawn."""
-    return {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(names)}
+from vislam.report.colours import colours
 
 
 @dataclass(frozen=True)
@@ -107,6 +99,33 @@ class Shown:
     def time(self, run: Run) -> Array:
         """Time since the start of the recording at each frame of a run, ``(T,)`` [s]."""
         return run.stamp - self.record.stamp[0]
+
+    def matched_time(self, found: TrajectoryScores) -> Array:
+        """Time since the start of the recording of each error of a trajectory, ``(m,)`` [s]."""
+        return found.matched.stamp - self.record.stamp[0]
+
+    def time_at(self, frame: IntArray) -> Array:
+        """Time since the start of the recording at frames, of the same shape [s]."""
+        return self.record.stamp[frame] - self.record.stamp[0]
+
+    def leaving(self) -> list[str]:
+        """Runs that do not set the scale of a figure: those that have not seen the camera, beside others."""
+        seeing = self.seeing()
+        return [name for name in self.runs if name not in seeing]
+
+    def travelled(self) -> tuple[Array, Array]:
+        """Time [s] and distance travelled [m] of a page's abscissa, both ``(T,)``.
+
+        The distance is that along the smoothed path, or else the filtered one, of the first complete run that
+        has seen the camera: the same for all figures. Without any run both are empty.
+        """
+        ranked = sorted(
+            self.seeing(), key=lambda name: (not self.runs[name].complete, list(self.runs).index(name))
+        )
+        if not ranked:
+            return np.empty(0), np.empty(0)
+        run = self.runs[ranked[0]]
+        return self.time(run), distance_driven(run.final.world_T_imu)
 
     def drawn_T_world(self, name: str, *, planar: bool) -> Array:
         """Transform ``(4, 4)`` that aligns a run to the reference; the identity where there is none."""

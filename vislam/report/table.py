@@ -35,10 +35,19 @@ _SURE = 0.05
 
 @dataclass(frozen=True)
 class Table:
-    """A table ready to be drawn."""
+    """A table ready to be drawn.
+
+    Attributes
+    ----------
+    header : sequence of str
+    rows : sequence of sequences of str
+    keys : sequence of str
+        Key of the metric in each row, empty for any other; none where rows are no metrics.
+    """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    keys: Sequence[str] = ()
 
 
 def comparison_tables(
@@ -69,7 +78,7 @@ def _table(
     marks: bool,
 ) -> Table:
     """Rows that at least one run has, a column each; ``keys`` selects rows."""
-    rows = []
+    rows, shown = [], []
     for key, spec in METRICS.items():
         if key in _LEFT_OUT or (keys is not None and key not in keys):
             continue
@@ -82,12 +91,14 @@ def _table(
                     for text, mark in zip(told, _marks(runs, evaluation, estimate, key), strict=True)
                 ]
             rows.append([spec.label, *told])
+            shown.append(key)
     states = [
         _state(run, degenerate=bool(evaluation.degenerate(name, estimate))) for name, run in runs.items()
     ]
     if any(state != _SOUND for state in states):
         rows.insert(0, ["status", *states])
-    return Table(["", *runs], rows)
+        shown.insert(0, "")
+    return Table(["", *runs], rows, shown)
 
 
 def _marks(runs: Mapping[str, Run], evaluation: Evaluation, estimate: Estimate, key: str) -> list[str]:

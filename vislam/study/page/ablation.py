@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from vislam.evaluation.metric import METRICS
+from vislam.report.canvas import SMALL, legend, logarithmic, new_figure
+from vislam.report.colours import colours
 from vislam.report.figures import Drawing
-from vislam.report.shown import colours
 from vislam.report.table import Table
 from vislam.study.ablation import CASE, Ablation
 from vislam.study.page.labels import ERRORS, errors, metric_label
@@ -73,31 +73,33 @@ def ablation_figures(trials: Trials, ablation: Ablation) -> dict[str, Drawing]:
     key = errors(trials)[0]
     title = "What each defect costs"
     caption = (
-        f"Left: {metric_label(key)} as the defects are corrected from top to bottom. Right: what each adds "
+        f"Above: {metric_label(key)} as the defects are corrected from top to bottom. Below: what each adds "
         "where it alone is there. A run that failed has no point."
     )
-    figure = Figure(figsize=(9.6, 1.2 + 0.34 * len(ablation.defects)), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = new_figure(1.8 + 0.66 * len(ablation.defects))
+    above, below = figure.subplots(2, 1)
     labels, steps = zip(*_steps(ablation), strict=True)
     _draw(
-        left,
+        above,
         {run: [_value(trials, run, key, case) for case in steps] for run in trials.complete},
         labels,
         joined=True,
     )
     _draw(
-        right,
+        below,
         {run: [cost(trials, run, ablation, name) for name in ablation.defects] for run in trials.complete},
         ablation.defects,
         joined=False,
     )
-    left.set(xscale="log", xlabel=metric_label(key))
-    right.axvline(0.0, color="k", lw=0.6)
-    right.set_xscale("symlog", linthresh=1.0)
-    right.set_xlabel(f"added {metric_label(key)}")
-    right.margins(x=0.1)
-    right.tick_params(axis="x", labelsize=7)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=8)
+    above.set_xlabel(metric_label(key))
+    logarithmic(above, "x")
+    below.axvline(0.0, color="k", lw=0.6)
+    below.set_xscale("symlog", linthresh=1.0)
+    below.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    below.set_xlabel(f"added {metric_label(key)}")
+    below.margins(x=0.1)
+    below.tick_params(axis="x", labelsize=SMALL)
+    legend(figure, above)
     return {"ablation": Drawing(title, caption, figure)}
 
 
@@ -145,7 +147,7 @@ def _draw(axes: Axes, series: dict[str, list[float]], names: Sequence[str], *, j
     place = np.arange(len(names))
     for run, colour in colours(series).items():
         axes.plot(series[run], place, "o-" if joined else "o", ms=4, lw=1.0, color=colour, label=run)
-    axes.set_yticks(place, names, fontsize=7)
+    axes.set_yticks(place, names, fontsize=SMALL)
     axes.invert_yaxis()
     axes.grid(axis="x", lw=0.3)
 

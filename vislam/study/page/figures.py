@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 
 from vislam.base.types import Array, IntArray
 from vislam.evaluation.metric import METRICS
+from vislam.report.canvas import legend, logarithmic, new_figure
+from vislam.report.colours import colours
 from vislam.report.figures import Drawing
-from vislam.report.shown import colours
 from vislam.study.answers import NEES, failure_rate, median, pooled_nees
 from vislam.study.intervals import Estimate
 from vislam.study.page.labels import TIME, errors, metric_label, parameter_label, plain
@@ -43,12 +44,12 @@ def response(trials: Trials) -> Figure | None:
     keys = [*errors(trials)[:1], *([NEES] if trials.has(NEES) else [])]
     if not paths or not keys:
         return None
-    figure = Figure(figsize=(7.2, 0.6 + 2.9 * len(keys) * len(paths)), layout="constrained")
+    figure = new_figure(0.6 + 2.9 * len(keys) * len(paths))
     panels = figure.subplots(len(keys) * len(paths), 1, squeeze=False)[:, 0]
     cells = [(path, key) for path in paths for key in keys]
     for axes, (path, key) in zip(panels, cells, strict=True):
         _curves(axes, trials, path, key)
-    _legend(figure, panels[0])
+    legend(figure, panels[0])
     return figure
 
 
@@ -63,7 +64,8 @@ def _curves(axes: Axes, trials: Trials, path: str, key: str) -> None:
         axes.fill_between(place, low, high, color=colour, alpha=0.18, lw=0)
         axes.plot(place, value, "o-", ms=4, lw=1.2, color=colour, label=name)
     label = METRICS[NEES].title if key == NEES else f"median {metric_label(key)}"
-    axes.set(xlabel=parameter_label(path), ylabel=label, yscale="log")
+    axes.set(xlabel=parameter_label(path), ylabel=label)
+    logarithmic(axes)
     if key == NEES:
         axes.axhline(1.0, color="k", lw=0.6)
 
@@ -80,7 +82,7 @@ def nees(trials: Trials) -> Figure | None:
     """NEES of each trial, and its mean with the interval, by estimator."""
     if not trials.has(NEES):
         return None
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = new_figure(4.2)
     axes = figure.subplots()
     columns = _by_column(axes, trials)
     for place, name, colour, rows in _dodged(trials, columns):
@@ -93,8 +95,9 @@ def nees(trials: Trials) -> Figure | None:
         axes.plot(place + spread, known, ".", ms=3, color=colour, alpha=0.5, rasterized=True)
         _marked(axes, place, found.mean, colour=colour, name=name)
     axes.axhline(1.0, color="k", lw=0.6)
-    axes.set(ylabel=METRICS[NEES].title, yscale="log")
-    _legend(figure, axes)
+    axes.set(ylabel=METRICS[NEES].title)
+    logarithmic(axes)
+    legend(figure, axes)
     return figure
 
 
@@ -102,7 +105,7 @@ def failures(trials: Trials) -> Figure | None:
     """Share of the runs that did not finish, with its interval, by estimator; None if all did."""
     if not any(np.any(trials.done & ~complete) for complete in trials.complete.values()):
         return None
-    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    figure = new_figure(3.6)
     axes = figure.subplots()
     columns = _by_column(axes, trials)
     for place, name, colour, rows in _dodged(trials, columns):
@@ -110,7 +113,7 @@ def failures(trials: Trials) -> Figure | None:
         if found is not None:
             _marked(axes, place, found, colour=colour, name=name)
     axes.set(ylabel="share of runs that failed", ylim=(-0.02, 1.02))
-    _legend(figure, axes)
+    legend(figure, axes)
     return figure
 
 
@@ -126,7 +129,7 @@ def cost(trials: Trials) -> Figure | None:
             points[name] = (time, error)
     if not points:
         return None
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = new_figure(4.2)
     axes = figure.subplots()
     best = front([(time.value, error.value) for time, error in points.values()])
     axes.step(best[:, 0], best[:, 1], where="post", color="k", lw=0.8, ls="--", label="front")
@@ -137,10 +140,10 @@ def cost(trials: Trials) -> Figure | None:
             axes.errorbar(*at, xerr=_reach(time), yerr=_reach(error), fmt="o", ms=6, lw=1.2, color=colour)
             axes.annotate(name, at, xytext=(8, 5), textcoords="offset points", fontsize=9)
     axes.set(xlabel=f"median {metric_label(TIME)}", ylabel=f"median {metric_label(key)}")
-    axes.set(xscale="log", yscale="log")
+    logarithmic(axes, "xy")
     axes.margins(0.2)
     axes.grid(alpha=0.3, which="both", lw=0.4)
-    axes.legend(loc="best", fontsize=8)
+    legend(figure, axes)
     return figure
 
 
@@ -158,7 +161,7 @@ def _places(axes: Axes, levels: Sequence[object]) -> Array:
         return np.arange(float(len(levels)))
     place = np.array(levels, dtype=float)
     if place.min() > 0.0 and place.max() > _WIDE * place.min():
-        axes.set_xscale("log")
+        logarithmic(axes, "x")
     return place
 
 
@@ -202,10 +205,6 @@ def _columns(found: Sequence[Estimate | None]) -> Array:
     """Values, low and high ends ``(3, n)``, NaN where there is none."""
     rows = [(np.nan,) * 3 if one is None else (one.value, one.low, one.high) for one in found]
     return np.array(rows).T
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
 
 
 _OF_RUNS = ("failures", "lag_curve")

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from vislam.base.types import IntArray
 from vislam.evaluation.lag import LagScores, half_time
 from vislam.evaluation.metric import LAG_METRICS, METRICS, MetricSpec, at_lag
-from vislam.report.shown import colours
+from vislam.report.canvas import legend, new_figure
+from vislam.report.colours import colours
 from vislam.report.table import Table
 from vislam.study.answers import mean
 from vislam.study.intervals import Estimate
@@ -62,7 +63,7 @@ def lag_curve(trials: Trials) -> Figure | None:
     specs, labels, rows = _specs(trials), _labels(trials), np.arange(len(trials))
     if not specs:
         return None
-    figure = Figure(figsize=(7.2, 1.0 + 2.1 * len(specs)), layout="constrained")
+    figure = new_figure(1.0 + 2.1 * len(specs))
     panels = figure.subplots(len(specs), 1, sharex=True, squeeze=False)[:, 0]
     for axes, spec in zip(panels, specs, strict=True):
         for name, colour in colours(trials.complete).items():
@@ -80,7 +81,7 @@ def lag_curve(trials: Trials) -> Figure | None:
     told = ["all" if label == "all" else f"{period * int(label):.2g}" for label in labels]
     panels[-1].set_xticks(range(len(labels)), told)
     panels[-1].set_xlabel("lag [s]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    legend(figure, panels[0])
     return figure
 
 
@@ -122,7 +123,7 @@ def bound_figure(trials: Trials) -> Figure | None:
     if not keys:
         return None
     rows = np.arange(len(trials))
-    figure = Figure(figsize=(7.2, 1.4 + 0.5 * len(trials.complete)), layout="constrained")
+    figure = new_figure(1.4 + 0.5 * len(trials.complete))
     panels = figure.subplots(1, len(keys), sharey=True, squeeze=False)[0]
     for axes, key in zip(panels, keys, strict=True):
         for place, (name, colour) in enumerate(colours(trials.complete).items()):

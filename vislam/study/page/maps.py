@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vislam.base.types import Array
+from vislam.report.canvas import SMALL, new_figure
 from vislam.study.answers import median
 from vislam.study.page.labels import errors, metric_label, parameter_label, plain
 from vislam.study.trials import Trials
@@ -25,11 +26,11 @@ def heat_map(trials: Trials) -> Figure | None:
     known = np.concatenate([values[np.isfinite(values)] for values in cells.values()])
     columns = min(len(cells), _COLUMNS)
     lines = -(-len(cells) // columns)
-    figure = Figure(figsize=(7.2, 0.4 + 3.0 * lines), layout="constrained")
+    figure = new_figure(0.4 + 3.0 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, (name, values) in zip(panels, cells.items(), strict=False):
         image = axes.imshow(values, origin="lower", aspect="auto", vmin=known.min(), vmax=known.max())
-        axes.set_title(name, fontsize=9)
+        axes.set_title(name, fontsize=SMALL)
         _labelled(axes, trials)
         _numbers(axes, values, low=float(known.min()), high=float(known.max()))
     for axes in panels[len(cells) :]:
@@ -63,5 +64,11 @@ def _numbers(axes: Axes, values: Array, *, low: float, high: float) -> None:
             dark = value < low + _DARK * (high - low)
             told = f"{value:.3g}"
             axes.text(
-                column, row, told, ha="center", va="center", fontsize=8, color="white" if dark else "black"
+                column,
+                row,
+                told,
+                ha="center",
+                va="center",
+                fontsize=SMALL,
+                color="white" if dark else "black",
             )
