@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from matplotlib.figure import Figure
 
 from tests.cli.test_compare import course_file
 from tests.data.test_plausibility import drive, with_stamps
@@ -14,6 +13,7 @@ from vislam import compare
 from vislam.comparison import config as configuration
 from vislam.datasets.course_export import write_course_npz
 from vislam.inspect import main
+from vislam.inspection import page as inspection_page
 from vislam.inspection.written import annotated
 
 SPOILT = """
@@ -147,7 +147,7 @@ def test_a_written_config_keeps_what_its_own_config_names(nowhere):
 
 @pytest.mark.parametrize("how", ["--data-dir", "$VISLAM_DATA", "here", "data"])
 def test_a_bare_file_is_found_where_a_config_would_find_it(nowhere, how, monkeypatch):
-    monkeypatch.setattr(Figure, "savefig", lambda self, file, **how: file.touch())
+    monkeypatch.setattr(inspection_page, "drawings", lambda result, *, title: {})
     folder = {"here": nowhere / "nowhere", "data": nowhere / "nowhere" / "data"}.get(how, nowhere / "far")
     write_course_npz(folder / "drive.npz", drive(frames=8))
     if how == "$VISLAM_DATA":

@@ -15,8 +15,8 @@ from vislam.comparison.open import open_dataset
 from vislam.datasets.course_npz import load_course_npz
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired
+from vislam.inspection.figures import figures
 from vislam.inspection.mounting import candidates
-from vislam.inspection.page import figures
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 

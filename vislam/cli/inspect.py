@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vislam.cli.command import Parser, add_config_options, answer, overrides
+from vislam.base.errors import ConfigError, DataError
+from vislam.cli.command import Parser, add_config_options, answer, begin, overrides
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,8 +31,10 @@ def _parser() -> Parser:
 
 
 def _inspect(options: argparse.Namespace) -> int:
+    if (options.config is None) == (options.file is None):
+        raise ConfigError("one of --config and --file must be given")
+    begin(f"inspect {options.config or options.file}")
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam.base.errors import ConfigError, DataError  # noqa: PLC0415
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison import config as configuration  # noqa: PLC0415
@@ -39,17 +42,15 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam.datasets.find import search_path  # noqa: PLC0415
     from vislam.inspection import inspect_sequence  # noqa: PLC0415
     from vislam.inspection.checks import unrepaired  # noqa: PLC0415
-    from vislam.inspection.page import write_inspection  # noqa: PLC0415
+    from vislam.inspection.page import PAGE, write_inspection  # noqa: PLC0415
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
 
-    if (options.config is None) == (options.file is None):
-        raise ConfigError("one of --config and --file must be given")
     home = None if options.config is None else options.config.parent
     tree = configuration.read(options.config) if options.config else _tree(options.file, options.data_dir)
     for dotted, value in overrides(options).items():
         configuration.put(tree, dotted, value)
     config = configuration.parse(configuration.Config, tree)
-    for path in (options.out / "inspection.json", options.write_config):
+    for path in (options.out / "inspection.json", options.out / PAGE, options.write_config):
         if path is not None:
             check_writable(path)
     terminal = Terminal()
@@ -67,15 +68,18 @@ def _inspect(options: argparse.Namespace) -> int:
     result = inspect_sequence(dataset.sequence, config)
     for finding in result.findings:
         terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
-    write_inspection(options.out, result, stand_in=dataset.sequence.stand_in)
-    terminal.note(f"written: {options.out / 'inspection.json'} and figures")
+    folders = search_path(options.data_dir, config_dir=home)
+    target = options.write_config or options.out / "config.yaml"
+    text = proposed_config(tree, result, folders=folders, written_to=target)
+    again = (options.out / "inspection.json").exists()
+    page = write_inspection(options.out, result, stand_in=dataset.sequence.stand_in, config=text)
+    terminal.note(f"{'overwritten' if again else 'written'}: {options.out / 'inspection.json'} and figures")
+    terminal.note(f"page: {page}")
     if result.proposal:
         terminal.note("proposed:")
         for dotted, value in result.proposal.items():
             terminal.note(f"  {dotted}: {configuration.inline(value)}")
     if options.write_config is not None:
-        folders = search_path(options.data_dir, config_dir=home)
-        text = proposed_config(tree, result, folders=folders, written_to=options.write_config)
         write_text(options.write_config, text)
         terminal.note(f"config: {options.write_config}")
     return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
@@ -83,7 +87,6 @@ def _inspect(options: argparse.Namespace) -> int:
 
 def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:
     """Config of a bare file, found where a config would find it."""
-    from vislam.base.errors import DataError  # noqa: PLC0415
     from vislam.datasets.find import find_file, not_found, search_path  # noqa: PLC0415
     from vislam.inspection.checks import bare_tree  # noqa: PLC0415
 
