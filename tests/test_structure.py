@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ORDER = (
     ("cli",),
-    ("study", "calibration", "inspection"),
+    ("study", "calibration", "inspection", "ledger"),
     ("comparison",),
     ("checks", "report"),
     ("evaluation",),

@@ -15,6 +15,7 @@ COMMANDS = {
     "track": "make tracks of a folder of stereo images",
     "calibrate": "find noise, biases and clock from the data alone",
     "study": "repeat a comparison over seeds and values, on many processes",
+    "results": "list the results in a folder, export them, show what differs between two",
     "simulate": "write a simulated recording",
     "export-tracks": "write the tracks of any source in the open track format",
     "fetch": "download the public recordings",
