@@ -84,6 +84,7 @@ class SimulationSource(SimulationConfig):
     """A simulated drive."""
 
     format: Literal["simulation"] = "simulation"
+    """Name of the format."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -91,6 +92,7 @@ class OtherSource:
     """A source whose reader another package brings, by an entry point in the group ``vislam.datasets``."""
 
     format: str
+    """Name of the format."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options of that reader."""
 

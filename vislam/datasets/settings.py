@@ -33,6 +33,7 @@ class CourseNpz:
     """A recording of the course, in the form that it had up to 2024."""
 
     format: Literal["course_npz"] = "course_npz"
+    """Name of the format."""
     file: str
     """The ``.npz`` file, searched for where all data is."""
 
@@ -42,6 +43,7 @@ class CourseNpy:
     """A recording of the course, in the form that it has had since 2025."""
 
     format: Literal["course_npy"] = "course_npy"
+    """Name of the format."""
     file: str
     """The ``.npy`` file, searched for where all data is."""
 
@@ -51,6 +53,7 @@ class ClementMat:
     """A set of Clement et al. (2015), with its reference poses and, where there are some, landmarks."""
 
     format: Literal["clement_mat"] = "clement_mat"
+    """Name of the format."""
     file: str
     """The ``.mat`` file, searched for where all data is."""
 
@@ -60,6 +63,7 @@ class TracksNpz:
     """Tracks of any front end in the open track format (``docs/reference/track_format.md``)."""
 
     format: Literal["tracks_npz"] = "tracks_npz"
+    """Name of the format."""
     file: str
     """The ``.npz`` file, searched for where all data is."""
 
@@ -69,6 +73,7 @@ class Kitti00:
     """The beginning of KITTI odometry 00, real tracks from GTSAM's examples; odometry is made for them."""
 
     format: Literal["kitti00"] = "kitti00"
+    """Name of the format."""
     gyro_sigma: NonNegative = 0.05
     """White noise of the made angular velocity, one value a frame [rad/s]."""
     velocity_sigma: NonNegative = 0.5
