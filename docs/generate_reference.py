@@ -62,15 +62,20 @@ class _Found(Exception):
 
 def parser_of(command: str) -> argparse.ArgumentParser:
     """Build the parser of a command, without running it."""
+    return parsing(command, [])[0]
 
-    def stop(self: Parser, *_: Any, **__: Any) -> Any:
-        raise _Found(self)
+
+def parsing(command: str, given: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
+    """Find the parser that a command has for what it is given, and what is left for it to parse."""
+
+    def stop(self: Parser, args: Any = None, namespace: Any = None) -> Any:
+        raise _Found(self, list(args))
 
     with patch.object(Parser, "parse_args", stop):
         try:
-            import_module(f"vislam.cli.{command.replace('-', '_')}").main([])
+            import_module(f"vislam.cli.{command.replace('-', '_')}").main(given)
         except _Found as found:
-            return found.args[0]
+            return found.args[0], found.args[1]
     raise LookupError(command)
 
 

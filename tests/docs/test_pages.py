@@ -7,7 +7,7 @@ import tomllib
 import pytest
 import yaml
 
-from docs.generate_reference import parser_of, write_all
+from docs.generate_reference import parsing, write_all
 from tests.docs.blocks import GENERATED, ROOT, RUN, blocks, page_id, pages
 from vislam.cli.main import COMMANDS
 from vislam.comparison import config
@@ -61,9 +61,8 @@ def _parse(command):
         command = ["vislam", command[2].removeprefix("vislam."), *command[3:]]
     if command[0] == "vislam" and not command[1].startswith("-"):
         assert command[1] in COMMANDS, command
-        parser = parser_of(command[1])
-        given = [word for word in command[2:] if word not in ("-h", "--help")]
-        parser.parse_args(given)
+        parser, given = parsing(command[1], command[2:])
+        parser.parse_args([word for word in given if word not in ("-h", "--help")])
 
 
 def _load(block, path):
