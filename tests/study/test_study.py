@@ -139,7 +139,8 @@ def test_the_longest_drives_run_first_and_the_table_keeps_its_order(ran):
     assert [row["data.simulation.frames"] for row in table()] == ["15", "15", "25", "25", "20", "20"]
 
 
-def test_the_time_left_is_known_of_trials_that_take_minutes():
+def test_the_time_left_is_known_of_trials_that_take_minutes(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
     now = [0.0]
     with Terminal().bar("trials", 10) as bar:
         bar._drawn.get_time = lambda: now[0]
