@@ -273,7 +273,7 @@ BAD_CONFIGS = {
         "name: s\ndata: {file: a.npz, repair: {disparity: {least: 3}}}\n",
         "known are minimum_px, row_difference_px",
     ),
-    "no data": ("name: s\ndata: {}\n", "one of file, simulation and packaged must be given"),
+    "no data": ("name: s\ndata: {}\n", "one of source, file, simulation and packaged must be given"),
     "missing data": ("name: s\n", "data: "),
     "not a mapping": ("- 1\n", "expected a mapping"),
     "not YAML": ("a: [1\n", "not a YAML file"),

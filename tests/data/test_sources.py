@@ -271,3 +271,23 @@ def test_tracks_are_exported_from_a_file_and_from_a_config(tmp_path, capsys):
     assert len(found.reference.track)
     assert export_tracks.main([str(tmp_path / "nope"), "-o", str(tmp_path / "e.npz")]) == 2
     assert export_tracks.main([str(tmp_path / "a.npz"), "-o", str(tmp_path / "e.txt")]) == 2
+
+
+def test_a_reference_of_the_camera_lies_where_the_repaired_mounting_has_it(tmp_path):
+    course_file(tmp_path / "drive.npz", imu_T_cam=CAMERA)
+    poses = np.tile(np.eye(4)[:3].ravel(), (6, 1))
+    np.savetxt(tmp_path / "poses.txt", poses)
+    camera = {"file": "poses.txt", "format": "kitti", "name": "poses", "limits": "none"}
+    stored = open_dataset(data(file="drive.npz", reference=camera), seed=0, data_dir=tmp_path)
+    turned = open_dataset(
+        data(
+            file="drive.npz",
+            reference=camera,
+            repair={"extrinsic": {"rotation": "stored", "translation": "inverse"}},
+        ),
+        seed=0,
+        data_dir=tmp_path,
+    )
+    for found in (stored, turned):
+        assert np.array_equal(found.reference.imu_T_point, found.sequence.rig.imu_T_cam)
+    assert not np.allclose(stored.reference.imu_T_point, turned.reference.imu_T_point)

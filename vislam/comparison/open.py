@@ -8,6 +8,7 @@ import numpy as np
 
 from vislam import repair
 from vislam.base.errors import DataError
+from vislam.base.types import Array
 from vislam.comparison.config import (
     DataConfig,
     HeldOutConfig,
@@ -133,11 +134,16 @@ def open_recording(config: DataConfig, opening: Opening, *, allow_stand_in: bool
         note = f"reference {config.reference.file} not found: runs are compared with each other only"
         _log.warning(note)
         return replace(raw, reference=None, points_world=None, notes=(*raw.notes, note))
-    sequence = raw.sequence
     reference = load_reference(
-        found, config.reference, imu_T_cam=sequence.rig.imu_T_cam, stamp=sequence.stamp
+        found, config.reference, imu_T_cam=_mounting(raw.sequence, config), stamp=raw.sequence.stamp
     )
     return replace(raw, reference=reference, points_world=None)
+
+
+def _mounting(sequence: Sequence, config: DataConfig) -> Array:
+    """Mounting ``imu_T_cam`` after the repairs, by which a reference of the camera becomes one of the body."""
+    empty = sequence.select(np.zeros(sequence.observations, bool))
+    return repair.apply(empty, config.repairs).rig.imu_T_cam
 
 
 def _to_substitute(config: DataConfig, name: str, opening: Opening, allowed: bool) -> bool:
