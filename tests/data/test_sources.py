@@ -289,5 +289,5 @@ def test_a_reference_of_the_camera_lies_where_the_repaired_mounting_has_it(tmp_p
         data_dir=tmp_path,
     )
     for found in (stored, turned):
-        assert np.array_equal(found.reference.imu_T_point, found.sequence.rig.imu_T_cam)
+        assert np.allclose(found.reference.imu_T_point, found.sequence.rig.imu_T_cam)
     assert not np.allclose(stored.reference.imu_T_point, turned.reference.imu_T_point)
