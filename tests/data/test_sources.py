@@ -277,7 +277,7 @@ def test_a_reference_of_the_camera_lies_where_the_repaired_mounting_has_it(tmp_p
     course_file(tmp_path / "drive.npz", imu_T_cam=CAMERA)
     poses = np.tile(np.eye(4)[:3].ravel(), (6, 1))
     np.savetxt(tmp_path / "poses.txt", poses)
-    camera = {"file": "poses.txt", "format": "kitti", "name": "poses", "limits": "none"}
+    camera = {"file": "poses.txt", "format": "kitti", "name": "poses", "limits": "", "pose_of": "left_camera"}
     stored = open_dataset(data(file="drive.npz", reference=camera), seed=0, data_dir=tmp_path)
     turned = open_dataset(
         data(

@@ -69,6 +69,9 @@ def test_trials_are_drawn_only_as_others_finish(client):
 
 def test_workers_that_come_later_get_trials_too(client, monkeypatch):
     workers, held = {"a": 1}, []
+    while client.futures:
+        # Of the test before.
+        time.sleep(0.01)
     monkeypatch.setattr(client, "nthreads", lambda: workers)
     for place, _ in enumerate(run_trials(client, trials(60), work=work)):
         held.append(len(client.futures))

@@ -404,7 +404,7 @@ BAD = {
     "no study": (["--set", "study=null"], "study: the config has no such section"),
     "no seeds": (["--set", "study.seeds=0"], "study.seeds: "),
     "empty grid": (["--set", "study.grid={noise.drift_px: []}"], "study.grid.noise.drift_px: "),
-    "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are defects, grid"),
+    "unknown key": (["--set", "study.seed=3"], "study.seed: unknown key; known are around, defects, grid"),
     "grid and cube": (
         ["--set", "study.latin_hypercube={samples: 2, ranges: {noise.drift_px: [0, 1]}}"],
         "study: one of grid, around, latin_hypercube and defects",
