@@ -141,7 +141,7 @@ def open_recording(config: DataConfig, opening: Opening, *, allow_stand_in: bool
 
 
 def _mounting(sequence: Sequence, config: DataConfig) -> Array:
-    """Mounting ``imu_T_cam`` after the repairs, by which a reference of the camera becomes one of the body."""
+    """Mounting ``imu_T_cam`` after the repairs, by which a reference of the camera becomes the body's."""
     empty = sequence.select(np.zeros(sequence.observations, bool))
     return repair.apply(empty, config.repairs).rig.imu_T_cam
 
