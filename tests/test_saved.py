@@ -408,7 +408,7 @@ def changed_run(folder, of="ekf", **changes):
 FOREIGN = {
     "another run": ({"name": "isam2"}, "got the run 'isam2'"),
     "of another drive": ({"frames_expected": 13}, "frames up to 11 of 13 for 12"),
-    "other observations": ({"used": np.zeros(5, bool), "gated": np.zeros(5, bool)}, "5 observations for 90"),
+    "other observations": ({"used": np.zeros(5, bool), "gated": np.zeros(5, bool)}, "5 observations for "),
     "other stamps": ({"stamp": np.arange(12.0)}, "got other stamps"),
     "frames beyond": ({"frame": np.arange(12) + 5}, "frames up to 16"),
 }
