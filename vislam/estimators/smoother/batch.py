@@ -164,6 +164,24 @@ class Drive:
             tree.update(graph, values)
             return [tree.marginalCovariance(key) for key in keys]
 
+    def cross_covariances(self, values: gtsam.Values, keys: Sequence[int], first: int) -> list[Array]:
+        """Covariances ``(d, 6)`` of the errors of variables with those of one pose, ``first``.
+
+        With the information ``R^T R`` of all errors they are the columns ``R^-1 R^-T e`` of its inverse: one
+        elimination, and a substitution forth and back for each component of the pose.
+        """
+        linear = self.graph().linearize(values)
+        net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
+        nothing = values.zeroVectors()
+        columns = []
+        for unit in np.eye(6):
+            right, only_first = gtsam.VectorValues(nothing), gtsam.VectorValues()
+            only_first.insert(first, unit)
+            right.update(only_first)
+            solved = net.backSubstitute(net.backSubstituteTranspose(right))
+            columns.append([solved.at(key) for key in keys])
+        return [np.column_stack(of_key) for of_key in zip(*columns, strict=True)]
+
 
 def minimise(
     graph: gtsam.NonlinearFactorGraph,

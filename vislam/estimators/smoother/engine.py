@@ -102,6 +102,10 @@ class Engine(Protocol):
         """Marginal covariance of a variable."""
         ...
 
+    def joint_covariance(self, first: int, key: int) -> Array:
+        """Joint covariance ``(12, 12)`` of two poses, errors of the first one first."""
+        ...
+
 
 class _Read:
     """Reading of an estimate, which iSAM2 and the fixed-lag smoother answer to the same calls.
@@ -133,6 +137,17 @@ class _Read:
     def covariance(self, key: int) -> Array:
         """Marginal covariance of a variable."""
         return _solved(self._solver.marginalCovariance, key)
+
+    def joint_covariance(self, first: int, key: int) -> Array:
+        """Joint covariance ``(12, 12)`` of two poses, errors of the first one first."""
+        if key == first:
+            return np.tile(self.covariance(first), (2, 2))
+        joint = _solved(self._joint_solver().jointMarginalCovariance, [first, key])
+        return np.block([[joint.at(one, other) for other in (first, key)] for one in (first, key)])
+
+    def _joint_solver(self) -> Any:
+        """What GTSAM has joint covariances of."""
+        return self._solver
 
 
 class WholeGraph(_Read):
@@ -281,6 +296,9 @@ class FixedLag(_Read):
     def settle(self) -> None:
         """Update without anything new."""
         _solved(self._solver.update)
+
+    def _joint_solver(self) -> Any:
+        return _solved(gtsam.Marginals, self._solver.getFactors(), self._solver.getLinearizationPoint())
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors, by slot."""

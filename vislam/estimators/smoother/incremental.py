@@ -23,6 +23,7 @@ from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.restart import restarted
 from vislam.estimators.smoother.solver import Solver
+from vislam.estimators.smoother.world import ReportedWorld
 from vislam.models.kernel import kernel_name
 
 _log = logging.getLogger("vislam.estimators.smoother")
@@ -60,7 +61,10 @@ class SmootherEstimator:
         }
         self._motion = motion.make(problem, between=options.motion == "between")
         self._stereo = StereoFactors(problem.rig, kernel=kernel)
-        self._solver = Solver(problem.rig, options, self._motion, self._stereo, comes_back=problem.kept > 0)
+        self._world = ReportedWorld(problem)
+        self._solver = Solver(
+            problem.rig, options, self._motion, self._stereo, world=self._world, comes_back=problem.kept > 0
+        )
         self._recovery = Recovery(problem.rig, options, self._solver)
         self._frames: list[Frame] = []
         self._events: list[str] = []
@@ -97,7 +101,7 @@ class SmootherEstimator:
         every = self._options.pose_cov_every
         bias, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
         return Step(
-            pose=solver.poses[-1],
+            pose=solver.reported(solver.poses[-1]),
             pose_cov=pose_cov,
             states={TWIST_BIAS: bias},
             used=np.isin(frame.stereo.track, [track.id for track in seen]),
@@ -109,7 +113,7 @@ class SmootherEstimator:
         if with_cov:
             try:
                 bias = State(*self._motion.bias(engine, frame, with_sigma=True))
-                return bias, engine.covariance(X(frame.k))
+                return bias, self._solver.covariance(frame.k)
             except IndeterminateError:
                 self._counts["covariances_refused"] = self._counts.get("covariances_refused", 0) + 1
         return State(*self._motion.bias(engine, frame, with_sigma=False)), None
@@ -121,21 +125,23 @@ class SmootherEstimator:
         tracks = solver.tracks.landmarks
         pose_cov = points_cov = fit = None
         if options.lag_s is not None:
-            poses = np.array([*solver.left, *(solver.engine.pose(X(k)) for k in solver.held())])
+            first = solver.first()
+            held = [solver.engine.pose(X(k)) for k in solver.held()]
+            poses = np.array([*solver.left, *self._world.poses(first, np.array(held).reshape(-1, 4, 4))])
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
+            points = self._world.points(first, points)
         else:
             drive = Drive(self._problem.rig, self._motion, self._stereo, self._frames, tracks)
             values = self._finish(drive)
             tracks = drive.tracks
             poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
+            first = poses[0] if len(poses) else np.eye(4)
+            poses, points = self._world.poses(first, poses), self._world.points(first, points)
             if self._gaussian:
                 fit = drive.fit(values)
-            if options.marginals != "none":
-                asked = [track.key for track in tracks] if options.marginals == "all" else []
-                found = drive.covariances(values, [*(X(k) for k in range(len(poses))), *asked])
-                pose_cov = np.array(found[: len(poses)])
-                points_cov = np.array(found[len(poses) :]).reshape(-1, 3, 3) if asked else None
+            if options.marginals != "none" and len(poses):
+                pose_cov, points_cov = self._covariances(drive, values, poses, points)
         return Final(
             trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
             map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
@@ -148,7 +154,7 @@ class SmootherEstimator:
                 "steps_by_qr": self._recovery.by_qr,
                 "cholesky_refusals": self._recovery.refusals,
             },
-            up=None if self._problem.climb is None else np.array([0.0, 0.0, 1.0]),
+            up=self._world.up(first),
             fused=(
                 np.array([view.k for track in tracks for view in track.past + track.views], dtype=np.int64),
                 np.array([track.id for track in tracks for _ in track.past + track.views], dtype=np.int64),
@@ -157,6 +163,24 @@ class SmootherEstimator:
             fit=fit,
             lagged=lagged,
         )
+
+    def _covariances(
+        self, drive: Drive, values: gtsam.Values, poses: Array, points: Array
+    ) -> tuple[Array, Array | None]:
+        """Covariances of all poses and, if asked for, landmarks, in the world that is reported."""
+        keys = [X(k) for k in range(len(poses))]
+        landmarks = [track.key for track in drive.tracks] if self._options.marginals == "all" else []
+        found, t = drive.covariances(values, [*keys, *landmarks]), len(keys)
+        pose_cov, points_cov = np.array(found[:t]), np.array(found[t:]).reshape(-1, 3, 3)
+        if self._world.tilted:
+            mixed = drive.cross_covariances(values, [*keys, *landmarks], X(0))
+            first_cov = pose_cov[0]
+            pose_cov = self._world.pose_covariances(poses, pose_cov, np.array(mixed[:t]), first_cov)
+            if landmarks:
+                cross = np.array(mixed[t:])
+                first = values.atPose3(X(0)).matrix()
+                points_cov = self._world.point_covariances(points, points_cov, cross, first_cov, first)
+        return pose_cov, points_cov if landmarks else None
 
     def _read(self, k: int, with_cov: bool) -> tuple[Array, Array | None]:
         """Pose of a frame as known now, or as it was when it left a lag, which leaves no covariance."""
@@ -167,8 +191,8 @@ class SmootherEstimator:
         if with_cov:
             # What cannot be told of a covariance beside a marginal is no fault of the estimate.
             with suppress(IndeterminateError):
-                cov = solver.engine.covariance(X(k))
-        return solver.engine.pose(X(k)), cov
+                cov = solver.covariance(k)
+        return solver.reported(solver.engine.pose(X(k))), cov
 
     def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""

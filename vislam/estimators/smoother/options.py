@@ -25,7 +25,7 @@ class SmootherOptions:
     """Relinearise a pose that turned by more than this [rad]."""
     pose_threshold_m: Positive | None = None
     """Relinearise a pose that moved by more than this [m]; null: by a twentieth of the baseline."""
-    landmark_threshold: Positive = 0.05
+    landmark_threshold: Positive = 0.005
     """Relinearise a landmark that moved by more than this share of its depth."""
     wildfire_threshold: NonNegative = 1.0
     """Old variables whose solution changes by less than this are left alone until the end [rad, m]."""

@@ -16,6 +16,7 @@ from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
+from vislam.estimators.smoother.world import ReportedWorld
 from vislam.geometry import se3
 from vislam.models import StereoRig
 
@@ -32,7 +33,7 @@ class Solver:
     poses : list of (4, 4)
         Causal poses of all frames so far, the newest a prediction until it is solved.
     left : list of (4, 4)
-        Of a lag, the poses as they were when they left it.
+        Of a lag, the poses as they were when they left it, in the world that is reported.
     """
 
     def __init__(
@@ -42,9 +43,11 @@ class Solver:
         motion: Motion,
         stereo: StereoFactors,
         *,
+        world: ReportedWorld,
         comes_back: bool = False,
     ) -> None:
         self._rig, self._options, self._motion, self._stereo = rig, options, motion, stereo
+        self._world = world
         self.factorization = "qr" if options.factorization == "qr" else "cholesky"
         self.engine = engine.make(options, factorization=self.factorization, baseline=rig.baseline)
         self.tracks = Tracks(comes_back=comes_back)
@@ -81,7 +84,24 @@ class Solver:
         """Read the poses that the update with this frame will marginalise."""
         if self._options.lag_s is not None:
             for k in range(len(self.left), min(self.held().start, frame.k)):
-                self.left.append(self.engine.pose(X(k)))
+                self.left.append(self.reported(self.engine.pose(X(k))))
+
+    def first(self) -> Array:
+        """First pose ``(4, 4)`` in the graph's world, by which poses are reported."""
+        return self.engine.pose(X(0)) if self._world.tilted else np.eye(4)
+
+    def reported(self, poses: Array) -> Array:
+        """Poses ``(..., 4, 4)`` in the world that is reported, by the first pose as known now."""
+        return self._world.poses(self.first(), poses)
+
+    def covariance(self, k: int) -> Array:
+        """Covariance ``(6, 6)`` of the pose of a frame in the world that is reported."""
+        if not self._world.tilted:
+            return self.engine.covariance(X(k))
+        joint = self.engine.joint_covariance(X(0), X(k))
+        pose = self.reported(self.engine.pose(X(k)))
+        own, cross = joint[None, 6:, 6:], joint[None, 6:, :6]
+        return np.asarray(self._world.pose_covariances(pose[None], own, cross, joint[:6, :6])[0])
 
     def update(
         self,
@@ -114,7 +134,7 @@ class Solver:
                 graph,
                 values,
                 stamps=self._stamps_of(frame, now),
-                newest=newest(self._motion, frame.k),
+                newest=self._newest(frame),
                 in_view=[track.key for track in now],
                 resting=self._resting(now),
                 remove=remove,
@@ -216,7 +236,7 @@ class Solver:
             values,
             # What leaves a lag with this frame leaves with the next: it cannot in the update it comes with.
             stamps={key: max(stamp, oldest) for key, stamp in stamps.items() if values.exists(key)},
-            newest=newest(self._motion, frame.k),
+            newest=self._newest(frame),
             in_view=[track.key for track in self.tracks.in_view.values() if values.exists(track.key)],
             resting=resting,
             remove=[],
@@ -239,13 +259,21 @@ class Solver:
     def _stamps_of(self, frame: Frame, seen: Sequence[Track]) -> dict[int, float]:
         """Time of all variables that a frame has or sees."""
         keys = [*self._motion.keys(frame.k), *self._motion.tied(frame.k), *(track.key for track in seen)]
-        return dict.fromkeys(keys, frame.stamp)
+        return dict.fromkeys([*self._always(), *keys], frame.stamp)
+
+    def _newest(self, frame: Frame) -> list[int]:
+        """Keys that an update solves for whatever has changed."""
+        return list(dict.fromkeys([*newest(self._motion, frame.k), *self._always()]))
+
+    def _always(self) -> list[int]:
+        """Keys that are always held and solved: the first pose, by which poses are reported."""
+        return [X(0)] if self._world.tilted else []
 
     def _all_stamps(self, frame: Frame) -> dict[int, float]:
         """Time of all variables of the frames and tracks that are held."""
         stamps = {key: self._stamps[k] for k in self.held() for key in self._motion.keys(k)}
         stamps |= {track.key: self._stamps[track.views[-1].k] for track in self.tracks.landmarks}
-        return stamps | dict.fromkeys(self._motion.tied(frame.k), frame.stamp)
+        return stamps | dict.fromkeys([*self._always(), *self._motion.tied(frame.k)], frame.stamp)
 
     def _resting(self, now: list[Track]) -> list[int]:
         """Variables that were last seen so long ago that they are not relinearised any more."""
