@@ -14,8 +14,10 @@ from vislam.repair import RepairConfig
 _AXES = "xyz"
 _LAGS_S = np.arange(-0.2, 0.2001, 0.005)
 _BLOCKS = 12
-_PARTS = (slice(0, 3), slice(3, 4))
-"""Rates and speed, each of which tells the clock by itself."""
+_COLUMNS = [0, 1, 2, 3, 3]
+_BOTH, _TURNS = slice(0, 4), slice(0, 3)
+_SPEEDS = (slice(3, 4), slice(4, 5))
+"""Of the mismatch: rates and speed, each of which tells the clock by itself, the speed in two ways."""
 _CLOCK_FAULT_S = 0.015
 _CLOCK_UNCLEAR_S = 0.02
 _CLOCK_FLOOR_S = 0.004
@@ -79,15 +81,15 @@ def check_clock(
         text = f"only {len(steps.frame)} steps without a gap show the camera's motion"
         return Finding("clock", "unclear", text, unknown={"data.repair.clock": text}), {}
     cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in _LAGS_S])
-    whole, error = _best_lag(cost.sum(axis=2))
+    whole, error = _best_lag(cost[:, :, _BOTH].sum(axis=2))
     measured = Measured.around("clock offset", "s", whole, sigma=error)
-    series = {"clock_lag": _LAGS_S, "clock_cost": cost.sum(axis=2).mean(axis=1)}
+    series = {"clock_lag": _LAGS_S, "clock_cost": cost[:, :, _BOTH].sum(axis=2).mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
         text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
         return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
-    (turns, turns_error), (speed, speed_error) = (_best_lag(cost[:, :, part].sum(axis=2)) for part in _PARTS)
-    if abs(turns - speed) > 4.0 * np.hypot(turns_error, speed_error):
+    turns, speed = _contradicting(cost)
+    if speed is not None:
         text = (
             f"the rates of turn say {turns:.3f} s, the speed {speed:.3f} s: no clock suits both, and none is "
             f"proposed; configured is {now:g} s"
@@ -99,6 +101,15 @@ def check_clock(
         proposal = {"data.repair.clock": {"offset": round(whole, 3)}}
         return Finding("clock", "fault", text, (measured,), proposal=proposal), series
     return Finding("clock", "ok", f"{measured}, configured is {now:g} s", (measured,)), series
+
+
+def _contradicting(cost: Array) -> tuple[float, float | None]:
+    """Lag that the rates ask for, and that of the speed if it is another, whatever the camera's scale."""
+    turns, error = _best_lag(cost[:, :, _TURNS].sum(axis=2))
+    speeds = [_best_lag(cost[:, :, part].sum(axis=2)) for part in _SPEEDS]
+    told = max(error, *(one for _, one in speeds)) <= _CLOCK_UNCLEAR_S
+    off = all(abs(turns - speed) > 4.0 * np.hypot(error, one) for speed, one in speeds)
+    return turns, speeds[0][0] if told and off else None
 
 
 def _best_lag(cost: Array) -> tuple[float, float]:
@@ -123,20 +134,25 @@ def _without_gaps(sequence: Sequence, steps: VisionSteps) -> VisionSteps:
 
 
 def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Array, period: float) -> Array:
-    """Squares ``(m, 4)`` of each step's mismatch in three rates and the speed ahead at a lag.
+    """Squares ``(m, 5)`` of each step's mismatch at a lag, over their scale, less what noise adds.
 
-    Over their scale, less what the noise of the samples adds.
+    In three rates, in the speed ahead, and in that with the camera's scale left free: where the speed only
+    rises or falls, an error of the scale looks like a lag.
     """
-    means, _ = replace(sequence, clock_offset=lag).step_means()
-    residual = (steps.twist - means[steps.frame])[:, :4]
+    means = replace(sequence, clock_offset=lag).step_means()[0][steps.frame, :4]
+    residual = steps.twist[:, :4] - means
     residual = residual - np.median(residual, axis=0)
+    speed = means[:, 3] - means[:, 3].mean()
+    share = float(speed @ residual[:, 3]) / max(float(speed @ speed), 1e-12)
+    residual = np.column_stack([residual, residual[:, 3] - share * speed])
+    noise = noise[_COLUMNS]
     scale = np.maximum(1.4826 * np.median(np.abs(residual), axis=0), 1e-9)
     residual = np.clip(residual, -4.0 * scale, 4.0 * scale)
     # Weights of three samples in the mean over a step that begins a fraction behind the first of them.
     fraction = (lag / period) % 1.0
     weights = np.array([0.5 * (1.0 - fraction) ** 2, 0.5 + fraction - fraction**2, 0.5 * fraction**2])
     added = noise**2 * (weights @ weights)
-    spread = np.maximum(steps.sigma[:, :4].mean(axis=0) ** 2 + 0.5 * noise**2, 1e-12)
+    spread = np.maximum(steps.sigma[:, _COLUMNS].mean(axis=0) ** 2 + 0.5 * noise**2, 1e-12)
     return np.asarray((residual**2 - added) / spread)
 
 

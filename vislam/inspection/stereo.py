@@ -26,6 +26,9 @@ start chooses what the noise made near."""
 _FEWEST = 40
 _BLOCKS = 12
 _OUTLIER = 6.0
+_SCALE_UNCLEAR = 0.05
+_OFFSET_UNCLEAR_PX = 1.0
+"""Standard deviations above which nothing is said of scale and offset."""
 _SCALE_FAULT = 0.006
 _SCALE_UNIT = 1.5
 """A scale that is off by more than this factor is no error of the calibration."""
@@ -177,6 +180,11 @@ def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
     fitting = Measured("baseline", "m", baseline / scale.value, baseline / scale.high, baseline / scale.low)
     text = f"{scale} for near tracks; they would agree with {fitting}, the rig has {baseline:.5f} m"
     off = abs(scale.value - 1.0)
+    if scale.sigma > _SCALE_UNCLEAR:
+        text = f"the sequence does not tell the scale: {text}"
+        return Finding(
+            "stereo scale", "unclear", text, (scale, fitting), unknown={"data.repair.baseline": text}
+        )
     if off <= _SCALE_FAULT or off <= 3.0 * scale.sigma:
         return Finding("stereo scale", "ok", text, (scale, fitting))
     text = f"the camera's way is {100 * (scale.value - 1):+.1f} % off: {text}; look up the calibration"
@@ -189,6 +197,10 @@ def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
 
 
 def _offset_finding(offset: Measured, repair: RepairConfig) -> Finding:
+    if offset.sigma > _OFFSET_UNCLEAR_PX:
+        text = f"the sequence does not tell the offset: {offset}"
+        unknown = {"data.repair.disparity_offset": text}
+        return Finding("disparity offset", "unclear", text, (offset,), unknown=unknown)
     applied = 0.0 if repair.disparity_offset is None else repair.disparity_offset.pixels
     if abs(offset.value) > _OFFSET_FAULT_PX and abs(offset.value) > 4.0 * offset.sigma:
         side = "large" if offset.value > 0 else "small"
