@@ -20,6 +20,7 @@ inertial data which are no good cut nothing.
 
 import numpy as np
 
+from vislam.base import linear
 from vislam.base.types import Array, BoolArray
 from vislam.core.pooled_fit import InertialPairs, TwistError, inertial_pairs, twist_error
 from vislam.core.rigid_fit import FEWEST, robust_scale, robust_weight
@@ -80,7 +81,7 @@ class _Steps:
         self._jacobian[self._at] = found.by_error[few]
         cov = along @ error.cov @ along.transpose(0, 2, 1)
         self._cov = cov + (white[steps] ** 2 + _SMALLEST**2)[:, :, None] * np.eye(6)
-        self._prior = np.linalg.inv(self._cov)
+        self._prior = linear.inverse(self._cov)
         self._scale = error.scale
 
     def distances(self) -> Array:
@@ -102,11 +103,11 @@ class _Steps:
         pull = (jacobian.transpose(0, 1, 3, 2) @ residual[..., None])[..., 0]
         for _ in range(_ITERATIONS):
             information = self._prior + np.einsum("fn,fnij->fij", weight, own)
-            error = np.linalg.solve(information, np.einsum("fn,fni->fi", weight, pull)[..., None])[..., 0]
+            error = linear.solve(information, np.einsum("fn,fni->fi", weight, pull))
             left = residual - (jacobian @ error[:, None, :, None])[..., 0]
             weight = self._there * robust_weight(np.sum(left**2, axis=2), 1.0)
         information = self._prior + np.einsum("fn,fnij->fij", weight, own)
-        others = np.linalg.inv(information[:, None] - weight[..., None, None] * own)
+        others = linear.inverse(information[:, None] - weight[..., None, None] * own)
         pulled = np.einsum("fn,fni->fi", weight, pull)[:, None] - weight[..., None] * pull
         error = (others @ pulled[..., None])[..., 0]
         left = residual - (jacobian @ error[..., None])[..., 0]
@@ -116,4 +117,4 @@ class _Steps:
 
 def _squared(residual: Array, cov: Array) -> Array:
     """Squared Mahalanobis norms of residuals ``(..., 3)``."""
-    return np.einsum("...i,...i->...", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+    return np.asarray(np.einsum("...i,...i->...", residual, linear.solve(cov, residual)))

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base import linear
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.rigid_fit import (
     MIXING,
@@ -147,7 +148,7 @@ def twist_error(found: InertialPairs) -> TwistError | None:
     )
     spread = left_out - left_out.mean(axis=0)
     jackknife = (len(left_out) - 1) / len(left_out) * spread.T @ spread
-    cov = jackknife + scale**2 * np.linalg.inv(_information(design, weight, scale))
+    cov = jackknife + scale**2 * linear.inverse(_information(design, weight, scale))
     return TwistError(error[:6], error[6:], cov, scale)
 
 
@@ -166,4 +167,4 @@ def _information(design: Array, weight: Array, scale: float) -> Array:
 
 def _solved(design: Array, residual: Array, weight: Array, scale: float) -> Array:
     right = np.einsum("m,mri,mr->i", weight, design, residual, optimize=True)
-    return np.asarray(np.linalg.solve(_information(design, weight, scale), right))
+    return linear.solve(_information(design, weight, scale), right)

@@ -81,9 +81,10 @@ def estimate_offset(estimate: Stamped, reference: Stamped, *, reach: float, scal
         return None
     best = int(np.argmin(costs))
     step = tried[1] - tried[0]
-    # About the centre, as the search is to a share of its variable.
+    # About the centre, as the search is to a share of its variable; it computes with what it is given.
+    worst = 2.0 * float(costs[np.isfinite(costs)].max()) + 1.0
     found = minimize_scalar(
-        lambda offset: cost(centre + offset),
+        lambda offset: min(cost(centre + offset), worst),
         bounds=(tried[best] - step, tried[best] + step),
         method="bounded",
         options={"xatol": 1e-7},
