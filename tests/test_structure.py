@@ -25,8 +25,14 @@ LEVEL = {room: level for level, rooms in enumerate(ORDER) for room in rooms}
 COMMANDS = {"calibrate", "compare", "evaluate", "fetch", "inspect", "simulate", "study.__main__", "__main__"}
 """What stands for a command of its own: thin, above all rooms."""
 AT_THE_ROOT = {"__init__", "api", "testing"}
-APART = (("estimators.ekf", "estimators.smoother"), ("estimators.smoother", "estimators.ekf"))
-"""Parts of one room that do not know each other."""
+APART = (
+    ("estimators.ekf", "estimators.smoother"),
+    ("estimators.ekf", "estimators.msckf"),
+    ("estimators.msckf", "estimators.smoother"),
+    ("estimators.smoother", "estimators.ekf"),
+    ("estimators.smoother", "estimators.msckf"),
+)
+"""Parts of one room that do not know each other; ``msckf`` has the filter's model of motion."""
 
 
 def modules():

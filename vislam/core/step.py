@@ -75,6 +75,9 @@ class Final:
         Frame index and track id of every observation that the estimate rests on, in any order; None where
         the ``used`` of the steps is the last word. For who fuses observations of earlier frames, or takes
         some out again.
+    gated : tuple of (m,), (m,) or None
+        The same of the observations that the estimator itself rejected, at whatever frame it did so; None
+        where the ``gated`` of the steps is the last word.
     counts : dict
         What was dropped, waited for, recovered from.
     events : tuple of str
@@ -92,6 +95,7 @@ class Final:
     trajectory: Poses | None = None
     map: Landmarks | None = None
     fused: tuple[IntArray, IntArray] | None = None
+    gated: tuple[IntArray, IntArray] | None = None
     counts: dict[str, int] = field(default_factory=dict)
     events: tuple[str, ...] = ()
     up: Array | None = None

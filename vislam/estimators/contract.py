@@ -87,7 +87,8 @@ def checked_final(final: Any, frames: int) -> Final:
     return Final(
         trajectory=_trajectory(final.trajectory, frames),
         map=_map(final.map),
-        fused=_fused(final.fused),
+        fused=_pairs("fused", final.fused),
+        gated=_pairs("gated", final.gated),
         counts=_counts(final.counts),
         events=_events(final.events),
         up=up,
@@ -278,14 +279,14 @@ def _events(value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _fused(value: Any) -> tuple[IntArray, IntArray] | None:
+def _pairs(name: str, value: Any) -> tuple[IntArray, IntArray] | None:
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ContractError(f"fused must be a pair of frames and tracks, got {quoted(value)}")
-    frame, track = _integers("fused frames", value[0]), _integers("fused tracks", value[1])
+        raise ContractError(f"{name} must be a pair of frames and tracks, got {quoted(value)}")
+    frame, track = _integers(f"{name} frames", value[0]), _integers(f"{name} tracks", value[1])
     if len(frame) != len(track):
-        raise ContractError(f"fused must be as many frames as tracks, got {len(frame)} and {len(track)}")
+        raise ContractError(f"{name} must be as many frames as tracks, got {len(frame)} and {len(track)}")
     return frame, track
 
 

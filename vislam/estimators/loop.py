@@ -151,6 +151,8 @@ class _Journal:
         final = checked_final(estimator.finalize(), len(self._steps))
         if final.fused is not None:
             self._used = sequence.mask_of(*final.fused)
+        if final.gated is not None:
+            self._gated = sequence.mask_of(*final.gated)
         self._final = final
 
     def run(self, name: str, *, failure: BaseException | None, total_time: float, peak_rss: int) -> Run:

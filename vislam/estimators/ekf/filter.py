@@ -13,10 +13,9 @@ from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.estimators.ekf import backward, chart, motion
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
-from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
+from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
-from vislam.estimators.ekf.motion import Block, Motion
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.reweighting import student_weights
@@ -50,7 +49,7 @@ class EkfEstimator:
         self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
         self._motion = motion.make(problem)
         self._nearest = problem.rig.nearest
-        layout, nav, sigma = _navigation(problem, self._motion)
+        layout, nav, sigma = motion.navigation(problem, self._motion)
         self._layout = layout
         self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig), layout)
         self.state = JointState(self._camera.chart, options.error, layout, nav=nav, sigma=sigma)
@@ -342,19 +341,6 @@ class _Innovation:
         part = Jacobian(of.by_nav[rows], of.by_landmark[good], slots)
         spread = self.spread.take(rows, axis=0).take(rows, axis=1)
         return Update.of(part, self.projected.take(rows, axis=0), spread, self.value[rows])
-
-
-def _navigation(problem: Problem, motion: Motion) -> tuple[NavLayout, Array, Array]:
-    """Layout of the navigation state, its first mean and its standard deviations."""
-    blocks = dict(motion.blocks())
-    if problem.disparity_offset_sigma > 0.0:
-        blocks[DISPARITY_OFFSET] = Block(np.zeros(1), np.array([problem.disparity_offset_sigma]))
-    layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
-    nav, sigma = np.zeros(layout.size), np.zeros(layout.size)
-    sigma[POSE] = problem.first_pose_sigma
-    for name, block in blocks.items():
-        nav[layout[name]], sigma[layout[name]] = block.mean, block.sigma
-    return layout, nav, sigma
 
 
 def _places(track: IntArray, in_frame: IntArray) -> IntArray:

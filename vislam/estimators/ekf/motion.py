@@ -13,7 +13,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
 from vislam.core.frame import Frame
-from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.layout import DISPARITY_OFFSET, NavLayout
 from vislam.geometry import se3, so3
 from vislam.models import odometry
 from vislam.models.odometry import POSE
@@ -274,6 +274,19 @@ class SmoothMotion(OdometryMotion):
 def make(problem: Problem) -> Motion:
     """Model of motion that a problem asks for."""
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
+
+
+def navigation(problem: Problem, motion: Motion) -> tuple[NavLayout, Array, Array]:
+    """Layout of the navigation state, its first mean and its standard deviations."""
+    blocks = dict(motion.blocks())
+    if problem.disparity_offset_sigma > 0.0:
+        blocks[DISPARITY_OFFSET] = Block(np.zeros(1), np.array([problem.disparity_offset_sigma]))
+    layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
+    nav, sigma = np.zeros(layout.size), np.zeros(layout.size)
+    sigma[POSE] = problem.first_pose_sigma
+    for name, block in blocks.items():
+        nav[layout[name]], sigma[layout[name]] = block.mean, block.sigma
+    return layout, nav, sigma
 
 
 def _across(frame: Frame) -> Array:

@@ -1,0 +1,137 @@
+"""The state of the filter: navigation state and a window of past poses, with their joint covariance."""
+
+import numpy as np
+
+from vislam.base.errors import DivergedError
+from vislam.base.types import Array, BoolArray, IntArray
+from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.linear import Jacobian, Keep, Move, Update
+from vislam.estimators.ekf.motion import Propagation
+from vislam.estimators.msckf.options import ErrorForm
+from vislam.geometry import se3
+from vislam.models.odometry import POSE
+
+_SIZE = POSE.stop - POSE.start
+_NO_LANDMARK = np.empty((0, 3, 4))
+_NO_SLOT = np.empty(0, np.int64)
+
+
+class Window:
+    """Navigation state and past poses (clones).
+
+    The error is ordered (navigation, clone 0, clone 1, ...), oldest clone first; a pose's is (omega, v) on
+    its right. The current pose is that of the navigation state and has no clone, so the covariance is
+    regular.
+
+    Attributes
+    ----------
+    nav : (d_nav,)
+        Navigation state but for the pose, whose numbers are not used.
+    frames : (m + 1,)
+        Frames of the poses, the current one last.
+    poses : (m + 1, 4, 4)
+        ``world_T_imu`` at these frames.
+    first : (m + 1, 4, 4)
+        The same as first estimated: predicted, before any observation of their frame.
+    cov : (d, d)
+        ``d = d_nav + 6 m``.
+    directions : (d, 6)
+        The errors that unit motions (omega, v) of the world, in the first pose's frame, are in the
+        coordinates of the state. No observation tells of them.
+    """
+
+    def __init__(self, layout: NavLayout, form: ErrorForm, *, nav: Array, sigma: Array) -> None:
+        self.layout = layout
+        self.form = form
+        self.nav = nav.copy()
+        self.frames: IntArray = np.zeros(1, np.int64)
+        self.poses: Array = np.eye(4)[None]
+        self.first: Array = np.eye(4)[None]
+        self.cov: Array = np.diag(sigma**2)
+        self.directions: Array = np.zeros((layout.size, _SIZE))
+        self.directions[POSE] = np.eye(_SIZE)
+
+    @property
+    def columns(self) -> IntArray:
+        """Where the error of each pose starts, ``(m + 1,)``."""
+        clones = self.layout.size + _SIZE * np.arange(len(self.poses) - 1)
+        return np.append(clones, POSE.start)
+
+    @property
+    def linearised_at(self) -> Array:
+        """Poses ``(m + 1, 4, 4)`` at which Jacobians are evaluated."""
+        return self.first if self.form == "first_estimates" else self.poses
+
+    def pose_cov(self, place: int) -> Array:
+        """Covariance ``(6, 6)`` of the pose at a place of :attr:`poses`."""
+        own = slice(self.columns[place], self.columns[place] + _SIZE)
+        return self.cov[own, own].copy()
+
+    def clone(self) -> None:
+        """Append a clone of the current pose to the past ones (Mourikis and Roumeliotis, eqs. 14 to 16)."""
+        rows = np.append(np.arange(len(self.cov)), np.arange(POSE.start, POSE.stop))
+        self.cov = self.cov.take(rows, axis=0).take(rows, axis=1)
+        self.directions = self.directions[rows]
+        self.poses = np.concatenate([self.poses, self.poses[-1:]])
+        self.first = np.concatenate([self.first, self.first[-1:]])
+        self.frames = np.append(self.frames, self.frames[-1])
+
+    def predict(self, step: Propagation, frame: int) -> None:
+        """Take the current pose, a clone of which is behind it, to another frame by the model of motion."""
+        pose = self.poses[-1] @ step.prev_T_next
+        transition = step.transition
+        if self.form == "first_estimates":
+            # From the first estimate of one pose to that of the next: a motion of the world stays one.
+            transition = transition.copy()
+            transition[POSE, POSE] = se3.adjoint(se3.inverse(pose) @ self.first[-1])
+        self.nav = self.nav + step.change
+        self.poses[-1] = self.first[-1] = pose
+        self.frames[-1] = frame
+        Move(transition).forward(self.cov, step.noise)
+        self.directions[: self.layout.size] = transition @ self.directions[: self.layout.size]
+
+    def correct(self, jacobian: Array, innovation: Array, variance: Array) -> Update:
+        """Fuse a linear measurement of the error.
+
+        Parameters
+        ----------
+        jacobian : (m, d)
+        innovation : (m,)
+        variance : (m,)
+
+        Raises
+        ------
+        DivergedError
+            If a variance is negative afterwards.
+        """
+        h = Jacobian(jacobian, _NO_LANDMARK, _NO_SLOT)
+        projected = jacobian @ self.cov
+        spread = projected @ jacobian.T
+        spread.reshape(-1)[:: len(spread) + 1] += variance
+        update = Update.of(h, projected, spread, innovation)
+        update.forward(self.cov)
+        if not np.diagonal(self.cov).min() >= 0.0:
+            smallest = float(np.linalg.eigvalsh(self.cov)[0]) if np.isfinite(self.cov).all() else np.nan
+            raise DivergedError(f"covariance lost, smallest eigenvalue {smallest:.3g}")
+        self._retract(update.correction)
+        return update
+
+    def keep(self, mask: BoolArray) -> None:
+        """Marginalise the clones outside the mask ``(m,)``: their rows and columns go."""
+        rows = np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, _SIZE)])
+        self.cov = Keep(rows).forward(self.cov)
+        self.directions = self.directions[rows]
+        stays = np.append(mask, True)
+        self.poses, self.first, self.frames = self.poses[stays], self.first[stays], self.frames[stays]
+
+    def _retract(self, error: Array) -> None:
+        """Correct the mean; in the invariant form, the coordinates of the error keep their meaning."""
+        before, each = self.poses, self.columns[:, None] + np.arange(_SIZE)
+        self.nav = self.nav + error[: self.layout.size]
+        self.poses = se3.retract(before, error[each])
+        if self.form != "invariant":
+            return
+        kept = se3.adjoint(se3.inverse(self.poses) @ before)
+        self.cov[each] = kept @ self.cov[each]
+        self.cov[:, each] = np.einsum("dmj,mij->dmi", self.cov[:, each], kept)
+        self.directions[each] = kept @ self.directions[each]
