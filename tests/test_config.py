@@ -21,7 +21,7 @@ from vislam.estimators.smoother.options import SmootherOptions
 from vislam_baselines.mapping_only import MappingOnlyOptions
 from vislam_baselines.report_ekf import ReportEkfOptions
 
-CONFIGS = sorted((Path(__file__).parents[1] / "configs").glob("*.yaml"))
+CONFIGS = sorted((Path(__file__).parents[1] / "configs").rglob("*.yaml"))
 BASE = """
 name: base
 data: {simulation: {frames: 30, speed: 9.0}}

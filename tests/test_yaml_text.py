@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vislam.base.yaml_text import DEEPEST, MOST_NODES, parse_yaml
 
-CONFIGS = sorted((Path(__file__).parents[1] / "configs").glob("*.yaml"))
+CONFIGS = sorted((Path(__file__).parents[1] / "configs").rglob("*.yaml"))
 LETTERS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8)
 SCALARS = (
     st.none()

@@ -57,7 +57,8 @@ def test_without_a_command_there_is_the_usage_and_2(capsys):
 def test_every_shipped_config_is_listed_with_a_line_and_can_be_printed(capsys):
     assert main(["configs"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    names = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
+    folder = ROOT / "configs"
+    names = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml")}
     assert {line.split()[0] for line in lines} == names
     assert all(len(line.split(maxsplit=1)[1]) > 15 for line in lines)
     for name in names:
@@ -81,6 +82,8 @@ def test_a_file_of_ones_own_goes_before_the_shipped_one(elsewhere):
     (elsewhere / "tiny.yaml").write_text("name: mine", encoding="utf-8")
     assert find_config("tiny") == Path("tiny.yaml")
     assert find_config("other/tiny") is None
+    assert find_config("configs/battle/kitti_0001.yaml") == shipped_configs()["battle/kitti_0001"]
+    assert find_config("battle/kitti_0001") == find_config("kitti_0001.yaml")
     assert find_config("nothing") is None
 
 

@@ -8,24 +8,29 @@ _FOLDERS = (_PACKAGE / "configs", _PACKAGE.parent / "configs")
 
 
 def shipped_configs() -> dict[str, Path]:
-    """Files of the shipped configs, by their names without ``.yaml``."""
+    """Files of the shipped configs, by their names without ``.yaml``; ``battle/kitti_0001`` in a folder."""
     folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
-    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    if folder is None:
+        return {}
+    files = sorted(folder.rglob("*.yaml"))
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in files}
 
 
 def find_config(name: str | Path) -> Path | None:
     """File of a config: the one named, the same with ``.yaml``, or a shipped one; None if there is none.
 
-    ``configs/ds3.yaml`` stands for the shipped one, too, in a folder that has no such file.
+    ``configs/ds3.yaml`` stands for the shipped one, too, in a folder that has no such file, and so does a
+    name alone for a config in a folder of them.
     """
     path = Path(name)
     for candidate in (path, path.with_name(f"{path.name}.yaml")):
         # A name that is too long, or that may not be looked at, raises with the methods of Path.
         if os.path.isfile(candidate):
             return candidate
-    if path.parent in (Path(), Path("configs")):
-        return shipped_configs().get(path.name.removesuffix(".yaml"))
-    return None
+    name = path.as_posix().removeprefix("configs/").removesuffix(".yaml")
+    shipped = shipped_configs()
+    alone = {other.rpartition("/")[2]: file for other, file in shipped.items()}
+    return shipped.get(name, alone.get(name))
 
 
 def about(path: Path) -> str:

@@ -44,24 +44,35 @@ KEYS = (
     *("fu", "fv", "cu", "cv", "b"),
 )
 _LANDMARKS = "rho_i_pj_i"
+_BY_FRAME = ("y_k_j", "t", "v_vk_vk_i", "w_vk_vk_i", "theta_vk_i", "r_i_vk_i")
+"""Keys whose second axis is that of the frames."""
 _BROKEN = (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, NotImplementedError)
 _BROKEN_BYTES = (EOFError, OverflowError, zlib.error, struct.error, AttributeError)
 
 
 def read(source: ClementMat, opening: Opening) -> Recording:
     """Read a set as it stands, with its reference."""
-    return load_clement_mat(opening.find(source.file))
+    return load_clement_mat(opening.find(source.file), steps=source.steps)
 
 
-def load_clement_mat(path: Path) -> Recording:
+def load_clement_mat(path: Path, *, steps: tuple[int, int] | None = None) -> Recording:
     """Read a ``.mat`` file as it stands; nothing is repaired here.
+
+    Parameters
+    ----------
+    path : Path
+    steps : tuple of int, optional
+        First and last step, counted from 1; all if left out.
 
     Raises
     ------
     DataError
-        If the file is no MATLAB file up to version 7.2, lacks a key, or has a value that cannot be right.
+        If the file is no MATLAB file up to version 7.2, lacks a key, has a value that cannot be right, or
+        ends before the steps do.
     """
     mat, checks = _variables(path), Checks(path)
+    if steps is not None:
+        mat = _cut(mat, steps, path)
     stamp = checks.stamps("t", checks.numbers("t", mat["t"], largest=LARGEST_STAMP))
     frames = len(stamp)
     pixels = mat["y_k_j"]
@@ -83,7 +94,7 @@ def load_clement_mat(path: Path) -> Recording:
         imu_T_cam=checks.rigid("C_c_v", camera),
     )
     sequence = Sequence(
-        name=path.stem,
+        name=path.stem if steps is None else f"{path.stem}_{steps[0]}_{steps[1]}",
         stamp=stamp,
         inertial_stamp=stamp,
         twist=np.hstack([rate, velocity]),
@@ -102,6 +113,19 @@ def load_clement_mat(path: Path) -> Recording:
         _reference(checks, mat, frames=frames),
         None if points is None else points[seen.track],
     )
+
+
+def _cut(mat: dict[str, Array], steps: tuple[int, int], path: Path) -> dict[str, Array]:
+    """Arrays of some steps; what has no frames, or is of another shape than it should be, stays."""
+    frames = mat["t"].shape[-1] if mat["t"].ndim else 0
+    if steps[1] > frames:
+        raise DataError(
+            f"{path}: source.steps must be within 1 to {frames}, the frames of the file, got {list(steps)}"
+        )
+    wanted = slice(steps[0] - 1, steps[1])
+    return {
+        key: value[:, wanted] if key in _BY_FRAME and value.ndim > 1 else value for key, value in mat.items()
+    }
 
 
 def _reference(checks: Checks, mat: dict[str, Array], *, frames: int) -> Reference:

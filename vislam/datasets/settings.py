@@ -56,6 +56,13 @@ class ClementMat:
     """Name of the format."""
     file: str
     """The ``.mat`` file, searched for where all data is."""
+    steps: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None
+    """First and last step that are read, counted from 1 as in the paper; null: all."""
+
+    def __post_init__(self) -> None:
+        """Refuse a stretch of less than two steps."""
+        if self.steps is not None and self.steps[1] <= self.steps[0]:
+            raise ValueError(f"steps must be first and last, the last one later, got {list(self.steps)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
