@@ -115,3 +115,15 @@ def test_the_config_says_what_is_kept():
     data = DataConfig(file="a.npz", landmarks=LandmarksConfig(kept="most 7"))
     assert data.repairs.interruptions == Interruptions(kept=7)
     assert data.repair.interruptions == Interruptions()
+
+
+@pytest.mark.parametrize("finished", ["smoothed", "as_left"])
+def test_a_landmark_that_was_forgotten_is_told_once(gaps, short_config, finished):
+    """Repairs behind the one that renames ids can take observations, and with them who was seen last."""
+    few = keeping(short_config, LandmarksConfig(kept="most 2"))
+    assert come_back(gaps.sequence) > 5
+    estimator = find("ekf_invariant")(make_problem(few, gaps), {"finished": finished, "gate": False})
+    found = run(estimator, gaps.sequence, pixel_sigma(few, gaps), name="ekf")
+    assert found.complete, found.log.error
+    assert len(np.unique(found.map.track)) == len(found.map.track)
+    assert set(found.map.track) == set(gaps.sequence.track)

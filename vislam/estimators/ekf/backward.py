@@ -49,8 +49,8 @@ class Landmarks:
 
     @classmethod
     def join(cls, parts: Sequence["Landmarks"]) -> "Landmarks":
-        """All landmarks, their ids ascending."""
-        order = np.argsort(np.concatenate([part.track for part in parts]))
+        """All landmarks, their ids ascending; of one that left, and came back as new, the first part's."""
+        _, order = np.unique(np.concatenate([part.track for part in parts]), return_index=True)
         names = (item.name for item in fields(cls))
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
 

@@ -89,7 +89,7 @@ class EkfEstimator:
             counts["reweightings_not_converged"] = len(self._unsettled)
         lagged = {} if self._last is None else self._last.poses()
         if self._recorder is None:
-            landmarks = Landmarks.join(self._left)
+            landmarks = Landmarks.join(self._left[::-1])
         else:
             found = self.smooth()
             landmarks = found.landmarks
