@@ -25,6 +25,7 @@ from vislam.comparison.config import Config
 from vislam.core import record, run
 from vislam.core.schema import Each, Numbers, Plain, Section, Table
 from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.msckf.options import MsckfOptions
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.evaluation.definitions import DEFINITIONS
 from vislam.evaluation.metric import METRICS
@@ -135,6 +136,7 @@ def configuration() -> str:
     lines += _section(Check, "checks[]", "checks")
     for kind, title in (
         (EkfOptions, "Options of the filters"),
+        (MsckfOptions, "Options of msckf"),
         (SmootherOptions, "Options of the smoothers"),
         (DeadReckoningOptions, "Options of dead_reckoning"),
         (StereoVoOptions, "Options of stereo_vo"),

@@ -17,6 +17,7 @@ from vislam.base.yaml_text import parse_yaml
 from vislam.comparison import config
 from vislam.comparison.config import Config
 from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.msckf.options import MsckfOptions
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam_baselines.mapping_only import MappingOnlyOptions
 from vislam_baselines.report_ekf import ReportEkfOptions
@@ -173,7 +174,7 @@ def _numbers(annotation, path):
             yield from _numbers(part, path)
 
 
-KINDS = (Config, EkfOptions, SmootherOptions, MappingOnlyOptions, ReportEkfOptions)
+KINDS = (Config, EkfOptions, MsckfOptions, SmootherOptions, MappingOnlyOptions, ReportEkfOptions)
 NUMBERS = [
     (kind, path)
     for kind in KINDS

@@ -10,7 +10,7 @@ from vislam.core.estimator import find
 from vislam.estimators.loop import run
 from vislam.estimators.smoother.engine import IndeterminateError, WholeGraph
 
-NAMES = ("ekf", "ekf_invariant", "ekf_fej", "eks", "isam2", "fixed_lag", "batch")
+NAMES = ("ekf", "ekf_invariant", "ekf_fej", "eks", "msckf", "isam2", "fixed_lag", "batch")
 
 
 def five_in_view(sequence):

@@ -15,7 +15,10 @@ from vislam.core.step import Final, Step
 from vislam.testing import check_estimator
 
 ROOT = Path(__file__).parents[1]
-BUILT_IN = ("ekf", "ekf_iterated", "ekf_fej", "ekf_invariant", "eks", "isam2", "isam2_norelin", "fixed_lag")
+BUILT_IN = (
+    *("ekf", "ekf_iterated", "ekf_fej", "ekf_invariant", "eks", "msckf"),
+    *("isam2", "isam2_norelin", "fixed_lag"),
+)
 BLOCK = re.compile(r"^```(python|yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 

@@ -236,6 +236,25 @@ def test_a_set_of_clement_that_cannot_be(tmp_path, changes, told):
         load_clement_mat(mat_file(tmp_path / "a.mat", **changes))
 
 
+def test_a_stretch_of_a_set_is_read_from_where_it_is(tmp_path):
+    path = mat_file(tmp_path / "a.mat")
+    whole = load_clement_mat(path)
+    frames = len(whole.sequence)
+    part = load_clement_mat(path, steps=(2, frames))
+    assert len(part.sequence) == frames - 1
+    assert np.array_equal(part.sequence.stamp, whole.sequence.stamp[1:])
+    assert np.array_equal(part.sequence.twist, whole.sequence.twist[1:])
+    assert np.array_equal(part.sequence.pixels, whole.sequence.pixels[whole.sequence.offset[1] :])
+    assert np.array_equal(part.reference.pose, whole.reference.pose[1:])
+    assert part.reference.frame[0] == 0
+    with pytest.raises(DataError, match=f"source.steps must be within 1 to {frames}, the frames of the file"):
+        load_clement_mat(path, steps=(1, frames + 1))
+    with pytest.raises(ConfigError, match="steps must be first and last, the last one later"):
+        configuration.parse(
+            Config, {"name": "a", "data": {"source": {"format": "clement_mat", "file": "a", "steps": [3, 3]}}}
+        )
+
+
 def test_reprojected_landmarks_of_starry_night_are_near():
     """The stated landmarks at the stated poses: some pixels off, as the set is, and no turn or sign wrong."""
     found = load_clement_mat(recorded("clement2015/dataset3.mat"))

@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.smoother.drives import ate, drive, gap, member
+from vislam import load_config
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.open import open_dataset
 from vislam.core.frame import Frame
 from vislam.estimators.loop import run
 from vislam.estimators.msckf import MsckfEstimator, MsckfOptions, build
+from vislam.evaluation.normalised import pose_errors
 from vislam.models.kernel import Kernel
 from vislam.testing import check_estimator
 
@@ -145,22 +149,33 @@ def test_options_that_cannot_be_are_a_line(options, message, short, short_config
         build(make_problem(short_config, short), options)
 
 
+DRAWN = {"frames": 80, "tracks_in_view": 20}
+
+
+def last_nees(seed, *, share=1.0, **options):
+    """NEES of the last pose of a drive whose noise and bias are drawn as stated, and NIS with its degrees."""
+    config = load_config("efficiency", **{f"data__simulation__{key}": value for key, value in DRAWN.items()})
+    dataset = open_dataset(config.data, seed=seed)
+    estimator = MsckfEstimator(make_problem(config, dataset), MsckfOptions(window=10, **options))
+    found = run(estimator, dataset.sequence, share * pixel_sigma(config, dataset), name="msckf")
+    errors = pose_errors(found, dataset.reference, estimate="filtered")
+    return errors["pose"].nees[-1], found.innovations.nis.sum(), found.innovations.dof.sum()
+
+
 @pytest.mark.statistical
-def test_it_is_consistent_over_many_drives():
-    """Pose NEES over 40 drives: 95 % of means of 40 chi-square numbers of 6 degrees lie in 0.83 to 1.19."""
-    values = {form: [] for form in FORMS}
-    for seed in range(40):
-        config, dataset = drive(seed=100 + seed, frames=60, tracks_in_view=20)
-        for form in FORMS:
-            found = made(config, dataset, window=10, error=form)
-            values[form].append(nees(found, dataset))
-    anees = {form: float(np.mean(each)) / 6.0 for form, each in values.items()}
-    assert 0.8 < anees["first_estimates"] < 1.25, anees
-    assert 0.8 < anees["invariant"] < 1.25, anees
+@pytest.mark.parametrize("form", ["first_estimates", "invariant"])
+def test_it_is_consistent_over_many_drives(form):
+    """Sums of NEES and NIS are chi-square numbers; one test in a thousand would fail by chance."""
+    nees, nis, dof = np.sum([last_nees(seed, error=form) for seed in range(30)], axis=0)
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * 30)
+    assert low < nees < high
+    # The gate takes 0.27 % of the tracks, those with the largest residuals.
+    low, high = chi2.ppf([0.0005, 0.9995], dof)
+    assert 0.99 * low < nis < high
 
 
-def nees(found, dataset):
-    """Of the last pose, the first poses laid on each other."""
-    from vislam.evaluation.normalised import pose_errors
-
-    return pose_errors(found, dataset.reference, estimate="filtered")["pose"].nees[-1]
+@pytest.mark.statistical
+def test_noise_that_is_stated_too_small_is_seen():
+    nees, nis, dof = np.sum([last_nees(seed, share=0.6) for seed in range(30)], axis=0)
+    assert nees > chi2.ppf(0.9995, 6 * 30)
+    assert nis > chi2.ppf(0.9995, dof)
