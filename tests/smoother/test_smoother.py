@@ -252,3 +252,16 @@ def test_a_bias_of_many_pixels_does_not_starve_the_smoother():
     assert found.complete
     assert found.used.mean() > 0.6
     assert ate(found.final.world_T_imu, dataset) < 0.1
+
+
+def test_a_track_in_view_may_be_unusable_for_longer_than_the_lag():
+    """Its landmark has gone into a marginal by then; what comes after is another one."""
+    config, dataset = drive(seed=5, frames=30, tracks_in_view=20)
+    frame, track = dataset.sequence.frame_of, dataset.sequence.track
+    long = np.isin(track, np.intersect1d(track[frame < 9], track[frame > 22]))
+    assert long.any()
+    hidden = long & (frame >= 12) & (frame < 20)
+    estimator = BUILD["fixed_lag"](make_problem(config, dataset), {"lag_s": 0.4})
+    found = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="lag", usable=~hidden)
+    assert found.complete, found.log.error
+    assert np.array_equal(found.used[long], ~hidden[long])

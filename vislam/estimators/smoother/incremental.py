@@ -142,6 +142,7 @@ class SmootherEstimator:
                 fit = drive.fit(values)
             if options.marginals != "none" and len(poses):
                 pose_cov, points_cov = self._covariances(drive, values, poses, points)
+        fused = [*tracks, *solver.tracks.former]
         return Final(
             trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
             map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
@@ -156,8 +157,8 @@ class SmootherEstimator:
             },
             up=self._world.up(first),
             fused=(
-                np.array([view.k for track in tracks for view in track.past + track.views], dtype=np.int64),
-                np.array([track.id for track in tracks for _ in track.past + track.views], dtype=np.int64),
+                np.array([view.k for track in fused for view in track.views], dtype=np.int64),
+                np.array([track.id for track in fused for _ in track.views], dtype=np.int64),
             ),
             events=tuple(self._recovery.events + self._events),
             fit=fit,

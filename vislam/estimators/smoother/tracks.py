@@ -41,8 +41,6 @@ class Track:
         Where its factors are in the solver.
     point : (3,)
         Its landmark as estimated when it was last in view [m].
-    past : list of View
-        Observations whose factors a lag has marginalised with an earlier landmark of the same track.
     """
 
     id: int
@@ -50,7 +48,6 @@ class Track:
     key: int = 0
     slots: list[int] = field(default_factory=list)
     point: Array = field(default_factory=lambda: np.zeros(3))
-    past: list[View] = field(default_factory=list)
 
 
 class Tracks:
@@ -71,6 +68,8 @@ class Tracks:
         By the track's id.
     ended : dict
         Landmarks of the graph that are out of view, by the track's id.
+    former : list of Track
+        Landmarks that a lag has marginalised before their track went on: it waits for another.
     too_weak, set_aside, views_dropped : int
         Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting
         tracks that were let go.
@@ -81,6 +80,7 @@ class Tracks:
         self.waiting: dict[int, Track] = {}
         self.in_view: dict[int, Track] = {}
         self.ended: dict[int, Track] = {}
+        self.former: list[Track] = []
         self.too_weak = self.set_aside = self.views_dropped = 0
         self._aside: set[int] = set()
         self._started = self._frames_without = 0
@@ -104,8 +104,12 @@ class Tracks:
             self.too_weak += 1
         for gone in sorted(self.in_view.keys() - present):
             self.ended[gone] = self.in_view.pop(gone)
-        for back in self.ended.keys() & present:
-            self._bring_back(self.ended.pop(back), oldest)
+        # One in view can be older, too: of a track that goes on no observation may have been usable for long.
+        stale = [name for name, track in self.in_view.items() if track.views[-1].k < oldest]
+        for back in (self.ended.pop(name) for name in self.ended.keys() & present):
+            self._bring_back(back, oldest)
+        for back in map(self.in_view.pop, stale):
+            self._bring_back(back, oldest)
         seen = []
         for row in np.flatnonzero(frame.stereo.usable).tolist():
             name = here[row]
@@ -125,7 +129,8 @@ class Tracks:
         if track.views[-1].k >= oldest:
             self.in_view[track.id] = track
         else:
-            self.waiting[track.id] = Track(track.id, past=track.past + track.views)
+            self.former.append(track)
+            self.waiting[track.id] = Track(track.id)
 
     def start(
         self, rig: StereoRig, poses: Sequence[Array], *, clear: float, most: int, oldest: int
