@@ -10,11 +10,14 @@ from tests.smoother.drives import ate, drive, gap, member
 from vislam import load_config
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.comparison.config import ClimbConfig
 from vislam.comparison.open import open_dataset
+from vislam.core.estimator import find
 from vislam.core.frame import Frame
 from vislam.estimators.loop import run
 from vislam.estimators.msckf import MsckfEstimator, MsckfOptions, build
 from vislam.evaluation.normalised import pose_errors
+from vislam.geometry import se3
 from vislam.models.kernel import Kernel
 from vislam.testing import check_estimator
 
@@ -102,6 +105,29 @@ def test_a_longer_window_is_nearer_to_the_batch():
     off = [gap(made(config, dataset, window=w).smoothed.world_T_imu, batch)[1] for w in (2, 8, 29)]
     assert off[0] > off[1] > off[2]
     assert ate(made(config, dataset).filtered.world_T_imu, dataset) < 0.1
+
+
+BLOCKS = {
+    "climb": {"climb": ClimbConfig()},
+    "smooth motion": {"acceleration_density": (0.1, 0.1, 0.1, 1.0, 1.0, 1.0)},
+    "clock": {"clock_sigma": 0.02},
+    "direction": {"velocity_direction_sigma": 0.01},
+    "offset": {"disparity_offset_sigma_px": 0.3},
+}
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_every_block_of_the_state_is_that_of_the_ekf(block, short, short_config):
+    """With all poses kept it is as sure of the last pose as the EKF is, and agrees with it."""
+    config = replace(short_config, noise=replace(short_config.noise, **BLOCKS[block]))
+    level = replace(short.sequence, climb_rate=np.zeros(len(short.sequence.climb_rate)))
+    dataset = replace(short, sequence=level)
+    ekf = find("eks")(make_problem(config, dataset), {"gate": False})
+    other = run(ekf, level, pixel_sigma(config, dataset), name="eks").smoothed
+    found = made(config, dataset, window=30, gate=False).smoothed
+    sigma = np.sqrt(np.diagonal(other.cov[-1]))
+    assert np.allclose(np.sqrt(np.diagonal(found.cov[-1])), sigma, rtol=0.1)
+    assert (np.abs(se3.local(other.world_T_imu[-1], found.world_T_imu[-1])) < 0.5 * sigma).all()
 
 
 def test_lags_are_read_from_the_window(short, short_config):

@@ -1,6 +1,7 @@
 """The multi-state constraint Kalman filter, one frame at a time: clone, predict, fuse ended tracks, slide."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,7 +15,7 @@ from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.ekf import motion
 from vislam.estimators.msckf.options import MsckfOptions
 from vislam.estimators.msckf.pending import Packed, Pending
-from vislam.estimators.msckf.projection import Constraints, Projected, eliminate, linearise
+from vislam.estimators.msckf.projection import POINT, Constraints, eliminate, linearise
 from vislam.estimators.msckf.reweighting import student
 from vislam.estimators.msckf.window import Window
 from vislam.models.kernel import kernel_name
@@ -70,7 +71,7 @@ class MsckfEstimator:
         ended = self._pending.release(
             frame.stereo.track, longest=self._longest, oldest=int(self.window.frames[0]) if full else _NEVER
         )
-        fused, gated, nis, dof, world_gained = self._fuse(ended)
+        fused = self._fuse(ended)
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
         bias = self.window.layout[TWIST_BIAS]
@@ -80,11 +81,11 @@ class MsckfEstimator:
             states={
                 TWIST_BIAS: State(self.window.nav[bias].copy(), np.sqrt(np.diagonal(self.window.cov)[bias]))
             },
-            nis=nis,
-            dof=dof,
-            used=_of_the_frame(fused, frame),
-            gated=_of_the_frame(gated, frame),
-            world_gained=gained + world_gained,
+            nis=fused.nis,
+            dof=fused.dof,
+            used=_of_the_frame(fused.tracks, frame),
+            gated=_of_the_frame(fused.gated, frame),
+            world_gained=gained + fused.world_gained,
         )
 
     def finalize(self) -> Final:
@@ -126,48 +127,52 @@ class MsckfEstimator:
             window.correct(jacobian, found.innovation, found.variance)
         return gained
 
-    def _fuse(self, ended: Packed) -> tuple[Packed, Packed, float, int, Array]:
-        """Fuse tracks; returns those fused, those gated, NIS, degrees of freedom, and the world's gain."""
-        long = ended.length >= self._options.min_length
-        tracks = ended.part(long)
-        self._counts["tracks_too_short"] += int(np.count_nonzero(~long))
-        if not len(tracks):
-            return tracks, tracks, 0.0, 0, np.zeros(6)
-        constraints = linearise(self._problem.rig, self.window, tracks)
-        solved = constraints.solved
-        self._counts["tracks_not_triangulated"] += int(np.count_nonzero(~solved))
-        tracks, constraints = tracks.part(solved), constraints.part(solved)
-        weight = tracks.seen.astype(np.float64)
-        projected = eliminate(constraints, weight)
-        passes = np.ones(len(tracks), bool)
-        if self._gates and len(tracks):
-            most = chi2.ppf(self._problem.gate_probability, 3 * tracks.length - 3)
-            passes = projected.distances(self.window.cov) <= most
-            self._counts["tracks_rejected"] += int(np.count_nonzero(~passes))
-        fused, gated = tracks.part(passes), tracks.part(~passes)
-        self._fused.append(fused)
+    def _fuse(self, ended: Packed) -> "_Fused":
+        """Fuse tracks that have ended."""
+        tracks, constraints = self._triangulated(ended)
+        passes = self._passes(tracks, constraints)
+        gated, tracks = tracks.part(~passes), tracks.part(passes)
         self._gated.append(gated)
-        if not len(fused):
-            return fused, gated, 0.0, 0, np.zeros(6)
-        self._points.update(zip(fused.track.tolist(), constraints.points_world[passes], strict=True))
+        self._fused.append(tracks)
+        if not len(tracks):
+            return _Fused(tracks, gated)
         if not passes.all():
             constraints = constraints.part(passes)
-            projected = eliminate(constraints, weight[passes])
-        if self._problem.kernel is not None:
-            projected = self._reweighted(constraints, fused)
+        self._points.update(zip(tracks.track.tolist(), constraints.points_world, strict=True))
+        kernel = self._problem.kernel
+        if kernel is None:
+            projected = eliminate(constraints, tracks.seen.astype(np.float64))
+        else:
+            projected, converged = student(kernel, constraints, tracks.seen, self.window.cov)
+            self._counts["reweightings_not_converged"] += not converged
         jacobian, residual, rest = projected.stacked()
         gained = np.sum((jacobian @ self.window.directions) ** 2, axis=0)
         update = self.window.correct(jacobian, residual, np.ones(len(residual)))
-        # Weighted residuals are no chi-square numbers.
-        if self._problem.kernel is not None:
-            return fused, gated, 0.0, 0, gained
-        return fused, gated, update.nis + rest, int(np.sum(3 * fused.length - 3)), gained
+        if kernel is not None:
+            # Weighted residuals are no chi-square numbers.
+            return _Fused(tracks, gated, world_gained=gained)
+        dof = int(np.sum(3 * tracks.length - POINT))
+        return _Fused(tracks, gated, nis=update.nis + rest, dof=dof, world_gained=gained)
 
-    def _reweighted(self, constraints: Constraints, tracks: Packed) -> Projected:
-        assert self._problem.kernel is not None
-        found, converged = student(self._problem.kernel, constraints, tracks.seen, self.window.cov)
-        self._counts["reweightings_not_converged"] += not converged
-        return found
+    def _triangulated(self, ended: Packed) -> tuple[Packed, Constraints]:
+        """Tracks that are long enough and have a landmark, linearised; the others are counted."""
+        long = ended.length >= self._options.min_length
+        self._counts["tracks_too_short"] += int(np.count_nonzero(~long))
+        tracks = ended.part(long)
+        constraints = linearise(self._problem.rig, self.window, tracks)
+        solved = constraints.solved
+        self._counts["tracks_not_triangulated"] += int(np.count_nonzero(~solved))
+        return (tracks, constraints) if solved.all() else (tracks.part(solved), constraints.part(solved))
+
+    def _passes(self, tracks: Packed, constraints: Constraints) -> BoolArray:
+        """Which tracks the gate lets pass; the others are counted."""
+        if not (self._gates and len(tracks)):
+            return np.ones(len(tracks), bool)
+        most = chi2.ppf(self._problem.gate_probability, 3 * tracks.length - POINT)
+        projected = eliminate(constraints, tracks.seen.astype(np.float64))
+        passes = projected.distances(self.window.cov) <= most
+        self._counts["tracks_rejected"] += int(np.count_nonzero(~passes))
+        return np.asarray(passes)
 
     def _read(self, k: int, with_cov: bool) -> tuple[Array, Array | None]:
         """Pose ``(4, 4)`` of a frame as known now, or when it left the window, and its covariance."""
@@ -176,6 +181,17 @@ class MsckfEstimator:
             return pose, cov if with_cov else None
         place = k - len(self._past)
         return self.window.poses[place].copy(), self.window.pose_cov(place) if with_cov else None
+
+
+@dataclass(frozen=True)
+class _Fused:
+    """Tracks that an update fused and gated, its NIS, and the information gained on motions of the world."""
+
+    tracks: Packed
+    gated: Packed
+    nis: float = 0.0
+    dof: int = 0
+    world_gained: Array = field(default_factory=lambda: np.zeros(6))
 
 
 def _of_the_frame(tracks: Packed, frame: Frame) -> BoolArray:

@@ -91,7 +91,7 @@ def _pack(track: IntArray, frame: IntArray, values: Array) -> Packed:
     """Pack observations ``(N,)``, which are in the order of time."""
     names, member, length = np.unique(track, return_inverse=True, return_counts=True)
     order = np.argsort(member, kind="stable")
-    seen = np.arange(int(length.max(initial=0))) < length[:, None]
+    seen = np.arange(int(length.max(initial=1))) < length[:, None]
     start = order[np.cumsum(length) - length]
     frames = np.repeat(frame[start][:, None], seen.shape[1], axis=1)
     padded = np.repeat(values[start][:, None], seen.shape[1], axis=1)

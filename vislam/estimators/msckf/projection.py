@@ -199,4 +199,4 @@ def _spread(by_pose: Array, place: IntArray, window: Window) -> Array:
 
 def _flat(rows: Array) -> Array:
     """One row a number: ``(n, V, 3, ...)`` to ``(n, 3V, ...)``."""
-    return rows.reshape(len(rows), -1, *rows.shape[3:])
+    return rows.reshape(len(rows), rows.shape[1] * rows.shape[2], *rows.shape[3:])
