@@ -83,8 +83,19 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
         "record.npz",
         "report.html",
     }
-    drawn = ["top_view", "height_attitude", "nis", "step_time"]
-    for name in ("error", "bands", "nees", "coverage", "segments", "cost"):
+    drawn = ["top_view", "height_attitude", "nis", "step_time", "observations"]
+    of_each = (
+        "error",
+        "error_path",
+        "components",
+        "relative",
+        "bands",
+        "nees",
+        "coverage",
+        "segments",
+        "cost",
+    )
+    for name in of_each:
         drawn += [f"{name}_filtered", f"{name}_smoothed"]
     wanted |= {f"figures/{name}.png" for name in drawn}
     wanted.add("list/ekf_invariant.npz")
