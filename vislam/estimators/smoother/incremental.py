@@ -211,10 +211,7 @@ class SmootherEstimator:
                     self._counts["final_iterations_undone"] += 1
                     break
                 budget.count("relinearised")
-            anew = restarted(drive, values, self._problem, options, budget)
-            if anew is not None:
-                values = anew
-                self._events.append("the estimate had diverged: found anew from the inertial path")
+            values = self._or_anew(drive, values, budget)
         elif options.final != "as_is":
             if options.final == "gnc":
                 values, self._counts["outliers"] = drive.graduate(values, budget)
@@ -226,7 +223,17 @@ class SmootherEstimator:
                 self._events.append(f"{_stopped(options.final, budget, found.stopped)}, {cost}")
             elif not found.at_rest:
                 self._events.append(f"the cost did not rest in {found.rounds} rounds of optimisation")
+            if options.plain:
+                values = self._or_anew(drive, values, budget)
         return values
+
+    def _or_anew(self, drive: Drive, values: gtsam.Values, budget: Budget) -> gtsam.Values:
+        """Return the estimate, or one found from the inertial path where it is worse than that."""
+        anew = restarted(drive, values, self._problem, self._options, budget)
+        if anew is None:
+            return values
+        self._events.append("the estimate had diverged: found anew from the inertial path")
+        return anew
 
 
 def _stopped(what: str, budget: Budget, by: str) -> str:
