@@ -37,7 +37,7 @@ from vislam.report.page_tables import (
     worst_table,
 )
 from vislam.report.table import comparison_tables
-from vislam.report.verdict import verdict
+from vislam.report.verdict import answer, verdict
 
 WIDE = ("top_view", "ladder")
 """Figures that take the whole width of a page."""
@@ -98,6 +98,10 @@ def write_page(path: Path, content: Content) -> None:
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
     shown = [spec for spec in METRICS.values() if spec.label in rows and spec.key in DEFINITIONS]
+    first, whole = (
+        told(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread)
+        for told in (answer, verdict)
+    )
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
     template = environment.from_string(part("page.html"))
     text = template.render(
@@ -105,10 +109,9 @@ def write_page(path: Path, content: Content) -> None:
         notes=record.notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=content.checks,
-        verdict=[
-            *content.noticed,
-            *verdict(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread),
-        ],
+        # A line for the filtered estimates, another for the smoothed ones.
+        answer=[line for told in first for line in told.replace(" Smoothed: ", "\nSmoothed: ").split("\n")],
+        verdict=[*content.noticed, *(told for told in whole if told not in first)],
         reference=record.reference,
         tables=[(ESTIMATE_TITLES[estimate], grouped(table)) for estimate, table in tables.items()],
         defined={spec.label: f"metric-{spec.key}" for spec in shown},
