@@ -95,7 +95,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
         "segments",
         "cost",
     )
-    for name in (*of_each, "segments", "cost"):
+    for name in of_each:
         drawn += [f"{name}_filtered", f"{name}_smoothed"]
     wanted |= {f"figures/{name}.png" for name in drawn}
     wanted.add("list/ekf_invariant.npz")

@@ -17,6 +17,7 @@ from vislam.base.errors import DivergedError
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 _log = logging.getLogger("vislam.calibration")
+_HELD = {signal.SIGINT, signal.SIGTERM}
 _MOST_LOSSES = 3
 """Losses after which no more workers are started: then it is not by chance."""
 
@@ -89,6 +90,7 @@ class Workers:
 def _begin(lifeline: Connection) -> None:
     """Prepare a worker: Ctrl-C is for the caller to answer, and the worker ends when its lifeline does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
     threading.Thread(target=_watch, args=(lifeline,), daemon=True).start()
 
 
@@ -99,8 +101,11 @@ def _watch(lifeline: Connection) -> None:
 
 @contextmanager
 def _deferred_interrupt() -> Iterator[None]:
-    """Hold SIGINT back from this thread, and from the processes that it starts."""
-    before: Any = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Hold interrupts back from this thread, and from the processes that it starts.
+
+    A pool that is interrupted between making its thread and starting it cannot be shut down.
+    """
+    before: Any = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
         yield
     finally:
