@@ -77,6 +77,7 @@ class Drive:
     frames: Sequence[Frame]
     tracks: list[Track]
     _without_tracks: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
+    _whole: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
 
     def without_tracks(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the stereo ones; a graph that may be added to."""
@@ -87,8 +88,14 @@ class Drive:
                     self._without_tracks.add(factor)
         return gtsam.NonlinearFactorGraph(self._without_tracks)
 
-    def graph(self, weights: Array | None = None) -> gtsam.NonlinearFactorGraph:
-        """All factors, the stereo ones last; ``weights`` are put on the squared residuals of these."""
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """All factors, the stereo ones last; made once, and not to be added to."""
+        if self._whole is None:
+            self._whole = self.weighted()
+        return self._whole
+
+    def weighted(self, weights: Array | None = None) -> gtsam.NonlinearFactorGraph:
+        """All factors, made anew; ``weights`` are put on the squared residuals of the stereo ones."""
         graph = self.without_tracks()
         views = [(track.key, view) for track in self.tracks for view in track.views]
         scale = np.ones(len(views)) if weights is None else 1.0 / np.sqrt(np.maximum(weights, _NO_WEIGHT))
@@ -135,13 +142,14 @@ class Drive:
     def graduate(self, values: gtsam.Values, budget: Budget) -> tuple[gtsam.Values, int]:
         """Take outliers out of the tracks; returns the values of what is left, and how many they were."""
         count = sum(len(track.views) for track in self.tracks)
-        values, good = graduate(self.graph, values, count=count, budget=budget)
+        values, good = graduate(self.weighted, values, count=count, budget=budget)
         first = 0
         for track in self.tracks:
             kept = good[first : first + len(track.views)]
             first += len(track.views)
             track.views = [view for view, fine in zip(track.views, kept, strict=True) if fine]
         self.tracks = [track for track in self.tracks if track.views]
+        self._whole = None
         return only(values, self.graph()), int(count - good.sum())
 
     def fit(self, values: gtsam.Values) -> tuple[float, int]:
