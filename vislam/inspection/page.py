@@ -5,17 +5,15 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
 from vislam.base.files import write_text
-from vislam.base.legible import visible_lines
 from vislam.comparison import config as configuration
 from vislam.comparison.provenance import provenance
 from vislam.inspection.figures import OF_CHECKS, drawings
 from vislam.inspection.finding import Finding, Inspection
 from vislam.report.figures import Drawing
-from vislam.report.page_parts import draw_table, inline_svg, part
+from vislam.report.page_parts import draw_table, inline_svg, render
 from vislam.report.svg import save_png
 from vislam.report.table import Table
 
@@ -51,12 +49,8 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool, config
     drawn = drawings(result, title=title)
     for name, drawing in drawn.items():
         save_png(drawing.figure, folder / f"{name}.png")
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=lambda value: visible_lines(value) if type(value) is str else value,
-    )
-    text = environment.from_string(part("inspection.html")).render(
+    text = render(
+        "inspection.html",
         title=f"vislam inspection: {title}",
         stand_in=stand_in,
         headline=headline(result.findings),
@@ -69,8 +63,6 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool, config
         config=config,
         provenance="\n".join(f"{key}: {value}" for key, value in made.items()),
         draw=draw_table,
-        css=part("page.css"),
-        page_js=part("page.js"),
     )
     write_text(folder / PAGE, text)
     return folder / PAGE

@@ -5,19 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-import jinja2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from vislam.base.files import write_text
-from vislam.base.legible import literal, visible_lines
+from vislam.base.legible import literal
 from vislam.ledger.entries import HEADLINES, Entry
 from vislam.ledger.table import HEADER, rows
 from vislam.report.canvas import legend, logarithmic, panels
 from vislam.report.colours import colours
 from vislam.report.figures import Drawing
-from vislam.report.page_parts import inline_svg, part
+from vislam.report.page_parts import inline_svg, render
 
 INDEX = "index.html"
 _LABELS = {"error": "ATE [m]", "held-out": "held-out [px]", "NEES": "NEES per dof", "time": "total time [s]"}
@@ -28,12 +27,8 @@ _MOST_FIGURES = 12
 def write_index(folder: Path, entries: Sequence[Entry]) -> Path:
     """Write the page, whole or not at all; links lead from it to the pages of the entries."""
     drawn = _drawings(entries)
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=lambda value: visible_lines(value) if type(value) is str else value,
-    )
-    text = environment.from_string(part("ledger.html")).render(
+    text = render(
+        "ledger.html",
         title="vislam results",
         extent=f"{len(entries)} entries. A row leads to its page, where it has one; a header sorts.",
         header=HEADER,
@@ -42,8 +37,6 @@ def write_index(folder: Path, entries: Sequence[Entry]) -> Path:
             for entry, row in zip(entries, rows(entries, below=folder), strict=True)
         ],
         figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in drawn.items()],
-        css=part("page.css"),
-        page_js=part("page.js"),
     )
     write_text(folder / INDEX, text)
     return folder / INDEX

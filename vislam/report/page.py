@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from vislam.base.files import remove, write_text
-from vislam.base.legible import visible_lines
 from vislam.base.types import Array
 from vislam.core.record import Record
 from vislam.core.run import Run
@@ -23,7 +21,7 @@ from vislam.evaluation.definitions import DEFINITIONS
 from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import Drawing, figure_names
-from vislam.report.page_parts import draw_table, inline_svg, part
+from vislam.report.page_parts import draw_table, inline_svg, part, render
 from vislam.report.page_tables import (
     counts_table,
     errors_table,
@@ -102,9 +100,8 @@ def write_page(path: Path, content: Content) -> None:
         told(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread)
         for told in (answer, verdict)
     )
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible)
-    template = environment.from_string(part("page.html"))
-    text = template.render(
+    text = render(
+        "page.html",
         title=content.title,
         notes=record.notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
@@ -135,8 +132,6 @@ def write_page(path: Path, content: Content) -> None:
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=content.config,
         draw=draw_table,
-        css=part("page.css"),
-        page_js=part("page.js"),
         figures_js=part("figures.js"),
         scene_js=part("scene.js"),
         plotly=Markup(get_plotlyjs()) if scene else "",
@@ -159,11 +154,6 @@ def clear_report(folder: Path) -> None:
         remove(folder / "figures" / f"{name}.png")
     with suppress(OSError):
         (folder / "figures").rmdir()
-
-
-def _visible(value: Any) -> Any:
-    """Text of the results without control characters; what this package writes is a Markup and stays."""
-    return visible_lines(value) if type(value) is str else value
 
 
 def _scene_note(scene: Mapping[str, Any]) -> str:

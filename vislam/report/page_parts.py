@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from importlib.resources import files
+from typing import Any
 
+import jinja2
 from markupsafe import Markup, escape
 
-from vislam.base.legible import visible
+from vislam.base.legible import visible, visible_lines
 from vislam.report.colours import COLOURS
 from vislam.report.figures import Drawing
 from vislam.report.svg import themed_svg
@@ -18,6 +20,20 @@ _HINT = 'data-hint="scroll sideways \u2194"'
 def part(name: str) -> Markup:
     """Text of a file of this package, which is not escaped."""
     return Markup(files("vislam.report").joinpath(name).read_text("utf-8"))
+
+
+def render(name: str, **content: Any) -> str:
+    """Page of a template of this package, with its style and script.
+
+    Text of the results is shown without control characters; what this package writes is a Markup and stays.
+    """
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=lambda value: visible_lines(value) if type(value) is str else value,
+        loader=jinja2.FunctionLoader(part),
+    )
+    return environment.get_template(name).render(**content, css=part("page.css"), page_js=part("page.js"))
 
 
 def inline_svg(name: str, drawing: Drawing) -> Markup:

@@ -5,14 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-import jinja2
 from markupsafe import Markup
 
 from vislam.base.errors import first_line
 from vislam.base.files import write_text
 from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.report.figures import Drawing
-from vislam.report.page_parts import draw_table, inline_svg, part
+from vislam.report.page_parts import draw_table, inline_svg, render
 from vislam.report.table import Table
 from vislam.study.ablation import Ablation
 from vislam.study.answers import CLAIMED, trial_bound
@@ -72,8 +71,8 @@ def write_study_page(
         ]
         draw_all = partial(study_ablation.ablation_figures, trials, ablation)
     figures, lacking = _drawn(draw_all)
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    text = environment.from_string(part("study.html")).render(
+    text = render(
+        "study.html",
         title=title,
         notes=[*notes, *lacking],
         verdict=told,
@@ -92,8 +91,6 @@ def write_study_page(
         config=config,
         provenance=provenance,
         draw=draw_table,
-        css=part("page.css"),
-        page_js=part("page.js"),
     )
     write_text(path, text)
 
