@@ -7,6 +7,7 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
+from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
 
@@ -131,6 +132,24 @@ class Observations:
         """Where the observations of each frame begin, ``(T + 1,)``."""
         counts = np.bincount(self.frame, minlength=frames)
         return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    def sequence(self, name: str, *, stamp: Array, twist: Array, rig: StereoRig, digest: str) -> Sequence:
+        """Sequence of a file whose twist ``(T, 6)`` has a sample a frame, and no vertical velocity."""
+        frames = len(stamp)
+        return Sequence(
+            name=name,
+            stamp=stamp,
+            inertial_stamp=stamp,
+            twist=twist,
+            climb_rate=np.full(frames, np.nan),
+            rig=rig,
+            offset=self.offset(frames),
+            track=self.track,
+            pixels=self.pixels,
+            row=np.arange(len(self.track)),
+            digest=digest,
+            counts=self.counts(frames),
+        )
 
     def counts(self, frames: int) -> dict[str, int]:
         """What was read."""

@@ -32,7 +32,6 @@ from vislam.base.errors import DataError, first_line
 from vislam.base.legible import brief
 from vislam.base.types import Array
 from vislam.core.reference import Reference
-from vislam.core.sequence import Sequence
 from vislam.datasets.archive import sha256
 from vislam.datasets.checks import LARGEST_NUMBER, LARGEST_STAMP, LARGEST_TWIST, Checks
 from vislam.datasets.recording import Opening, Recording
@@ -93,19 +92,12 @@ def load_clement_mat(path: Path, *, steps: tuple[int, int] | None = None) -> Rec
         baseline=checks.baseline("b", mat["b"]),
         imu_T_cam=checks.rigid("C_c_v", camera),
     )
-    sequence = Sequence(
-        name=path.stem if steps is None else f"{path.stem}_{steps[0]}_{steps[1]}",
+    sequence = seen.sequence(
+        path.stem if steps is None else f"{path.stem}_{steps[0]}_{steps[1]}",
         stamp=stamp,
-        inertial_stamp=stamp,
         twist=np.hstack([rate, velocity]),
-        climb_rate=np.full(frames, np.nan),
         rig=rig,
-        offset=seen.offset(frames),
-        track=seen.track,
-        pixels=seen.pixels,
-        row=np.arange(len(seen.track)),
         digest=sha256(path),
-        counts=seen.counts(frames),
     )
     points = _landmarks(checks, mat.get(_LANDMARKS), columns=pixels.shape[2])
     return Recording(

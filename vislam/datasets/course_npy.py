@@ -64,20 +64,7 @@ def load_course_npy(path: Path) -> Sequence:
     if features.ndim != 3 or features.shape[0] != 4 or features.shape[2] != frames:
         raise checks.fail("features", f"of shape (4, M, {frames})", f"{features.shape}")
     seen = checks.dense("features", features)
-    return Sequence(
-        name=path.stem,
-        stamp=stamp,
-        inertial_stamp=stamp,
-        twist=twist,
-        climb_rate=np.full(frames, np.nan),
-        rig=rig,
-        offset=seen.offset(frames),
-        track=seen.track,
-        pixels=seen.pixels,
-        row=np.arange(len(seen.track)),
-        digest=sha256(path),
-        counts=seen.counts(frames),
-    )
+    return seen.sequence(path.stem, stamp=stamp, twist=twist, rig=rig, digest=sha256(path))
 
 
 def _samples(checks: Checks, key: str, values: Array, *, frames: int, unit: str) -> Array:

@@ -72,19 +72,12 @@ class _Reader:
         baseline = checks.baseline("b", small("b"))
         rig = checks.rig("K", small("K", (3, 3)), baseline=baseline, imu_T_cam=pose)
         seen = self._observations(frames)
-        return Sequence(
-            name=self._path.stem,
+        return seen.sequence(
+            self._path.stem,
             stamp=stamp,
-            inertial_stamp=stamp,
             twist=np.ascontiguousarray(twist.T),
-            climb_rate=np.full(frames, np.nan),
             rig=rig,
-            offset=seen.offset(frames),
-            track=seen.track,
-            pixels=seen.pixels,
-            row=np.arange(len(seen.track)),
             digest=sha256(self._path),
-            counts=seen.counts(frames),
         )
 
     def _observations(self, frames: int) -> Observations:
