@@ -137,8 +137,8 @@ LAG_METRICS = {
 }
 """Metrics of the poses as known at a lag, in the order of the tables."""
 ESTIMATE_TITLES: dict[Estimate, str] = {
-    "filtered": "filtered (as known at each frame)",
-    "smoothed": "smoothed (as known in the end)",
+    "filtered": "filtered (causal)",
+    "smoothed": "smoothed (from all data)",
 }
 """Titles of the blocks that metrics are shown in."""
 _FAMILIES_OF_ERRORS = (
