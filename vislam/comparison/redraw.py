@@ -66,6 +66,9 @@ def redraw(sequence: Sequence, reference: Reference, config: RedrawConfig, *, se
         twist=samples[:, :6],
         climb_rate=samples[:, 6],
         clock_offset=0.0,
+        # Raw inertia would be of another motion than the redrawn.
+        imu=None,
+        start=None,
         digest=hashlib.sha256(f"{sequence.digest}|{told}".encode()).hexdigest(),
     )
 

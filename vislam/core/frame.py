@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.imu import ImuStep
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ class Frame:
         Time since the frame before [s]; 0 for the first.
     stereo : StereoFrame
     odometry : OdometryStep
+    imu : ImuStep or None
+        Samples of accelerometer and gyro since the frame before; None where the recording has none.
     """
 
     k: int
@@ -71,3 +74,4 @@ class Frame:
     dt: float
     stereo: StereoFrame
     odometry: OdometryStep
+    imu: ImuStep | None = None

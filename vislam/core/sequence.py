@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy as np
 from vislam.base.arrays import immutable
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.frame import Frame, OdometryStep, StereoFrame
+from vislam.core.imu import ImuSeries
 from vislam.models import StereoRig
+from vislam.models.imu import ImuPrior
 
 _STEP_END = 1e-7
 """How far the samples of a step with constant twist lie inside its ends, as a share of its length."""
@@ -75,6 +78,11 @@ class Sequence:
         What was read, cut and dropped.
     repairs : tuple of Repair
         The steps that made the sequence from the recording, in order.
+    imu : ImuSeries or None
+        Samples of accelerometer and gyro, on the clock of ``inertial_stamp``; None where there are none.
+    start : ImuPrior or None
+        What is known of the state at the first frame, if the recording says so, as a simulation does; None
+        where it is to be found from the data.
     """
 
     name: str
@@ -92,6 +100,8 @@ class Sequence:
     digest: str = ""
     counts: dict[str, int] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
+    imu: ImuSeries | None = None
+    start: ImuPrior | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -208,7 +218,8 @@ class Sequence:
         at_frame = np.column_stack([np.interp(at, self.inertial_stamp, axis) for axis in self.twist.T])
         change = immutable(np.diff(at_frame, axis=0, prepend=at_frame[:1]))
         dt = np.diff(self.stamp, prepend=self.stamp[0])
-        for k in range(len(self)):
+        imu = repeat(None) if self.imu is None else self.imu.steps(self.stamp, clock_offset=self.clock_offset)
+        for k, inertia in zip(range(len(self)), imu, strict=False):
             rows = slice(self.offset[k], self.offset[k + 1])
             yield Frame(
                 k=k,
@@ -216,6 +227,7 @@ class Sequence:
                 dt=float(dt[k]),
                 stereo=StereoFrame(track[rows], z[rows], sigma[rows], usable[rows]),
                 odometry=OdometryStep(twist[k], change[k], float(climb[k])),
+                imu=inertia,
             )
 
     def step_means(self) -> tuple[Array, Array]:

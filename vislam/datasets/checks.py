@@ -19,6 +19,8 @@ LARGEST_NUMBER = 1e6
 """Of pixels and lengths [px, m]: beyond it a number is no measurement, and squares of squares overflow."""
 LARGEST_TWIST = 200.0
 """Of velocities [rad/s, m/s]; no camera that is carried is faster."""
+LARGEST_FORCE = 2000.0
+"""Of the specific force [m/s^2]: some 200 times that at rest, more than what navigates can measure."""
 _SHORTEST_STEP = 1e-6
 """Frames closer in time than this are none [s]."""
 _SHORTEST_BASELINE = 1e-4

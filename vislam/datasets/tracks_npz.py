@@ -11,10 +11,11 @@ from vislam.base.errors import DataError
 from vislam.base.files import replace_whole
 from vislam.base.legible import brief
 from vislam.base.types import Array, IntArray
+from vislam.core.imu import ImuSeries
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence
 from vislam.datasets.archive import Arrays, opened, sha256
-from vislam.datasets.checks import LARGEST_STAMP, LARGEST_TWIST, Observations
+from vislam.datasets.checks import LARGEST_FORCE, LARGEST_STAMP, LARGEST_TWIST, Observations
 from vislam.datasets.recording import Opening, Recording
 from vislam.datasets.settings import TracksNpz
 
@@ -23,7 +24,10 @@ REQUIRED = (
     *("stamp", "frame", "track", "pixels", "K", "baseline", "imu_T_cam"),
     *("angular_velocity", "linear_velocity"),
 )
+IMU = ("imu_stamp", "imu_gyro", "imu_accel")
+"""Keys of raw inertia: all of them or none. With them the velocities may be left out."""
 OPTIONAL = (
+    *IMU,
     *("version", "inertial_stamp", "climb_rate", "simulated"),
     *("reference_frame", "reference_pose", "landmark_track", "landmark_world"),
 )
@@ -31,6 +35,7 @@ TELLING = frozenset({"frame", "track", "pixels"})
 """Keys that no other format has together."""
 _VERSION = 1
 _MOST_OBSERVATIONS = 1 << 24
+_FEWEST_IMU = 4
 _LARGEST_ID = 10**6
 """Ids beyond it are numbered anew: what counts tracks by their ids takes memory."""
 
@@ -63,15 +68,8 @@ class _Reader:
         small, checks = self._arrays.small, self._checks
         stamp = checks.stamps("stamp", small("stamp", largest=LARGEST_STAMP))
         seen, ids = self._observations(len(stamp))
-        inertial_stamp = stamp
-        if "inertial_stamp" in self._arrays.keys:
-            inertial_stamp = checks.stamps("inertial_stamp", small("inertial_stamp", largest=LARGEST_STAMP))
-        samples = len(inertial_stamp)
-        rate = small("angular_velocity", (samples, 3), largest=LARGEST_TWIST, unit="rad/s")
-        velocity = small("linear_velocity", (samples, 3), largest=LARGEST_TWIST, unit="m/s")
-        climb = np.full(samples, np.nan)
-        if "climb_rate" in self._arrays.keys:
-            climb = small("climb_rate", (samples,), largest=LARGEST_TWIST, unit="m/s")
+        imu = self._imu()
+        inertial_stamp, twist, climb = self._odometry(stamp, imu)
         rig = checks.rig(
             "K",
             small("K", (3, 3)),
@@ -82,7 +80,7 @@ class _Reader:
             name=self._path.stem,
             stamp=stamp,
             inertial_stamp=inertial_stamp,
-            twist=np.hstack([rate, velocity]),
+            twist=twist,
             climb_rate=climb,
             rig=rig,
             offset=seen.offset(len(stamp)),
@@ -91,7 +89,8 @@ class _Reader:
             row=np.arange(len(seen.track)),
             stand_in="simulated" in self._arrays.keys and bool(small("simulated", ())),
             digest=sha256(self._path),
-            counts=seen.counts(len(stamp)),
+            counts={**seen.counts(len(stamp)), **({} if imu is None else imu.counts)},
+            imu=imu,
         )
         reference = self._reference(len(stamp))
         points = None if reference is None else self._points(ids)
@@ -100,7 +99,10 @@ class _Reader:
 
     def _check_keys(self) -> None:
         keys = self._arrays.keys
-        missing = [key for key in REQUIRED if key not in keys]
+        velocities = ("angular_velocity", "linear_velocity")
+        spared = velocities if keys.issuperset(IMU) and not keys.intersection(velocities) else ()
+        asked = IMU if keys.intersection(IMU) else ()
+        missing = [key for key in (*REQUIRED, *asked) if key not in keys and key not in spared]
         if missing:
             raise DataError(
                 f"{self._path}: key {', '.join(map(repr, missing))} is missing; {PAGE} tells what each holds"
@@ -113,6 +115,41 @@ class _Reader:
             )
         if "version" in keys and (version := float(self._arrays.small("version", ()))) != _VERSION:
             raise self._checks.fail("version", f"{_VERSION}", f"{version:g}: a newer vislam may read it")
+
+    def _odometry(self, stamp: Array, imu: ImuSeries | None) -> tuple[Array, Array, Array]:
+        """Stamps ``(S,)``, twist ``(S, 6)`` and vertical velocity ``(S,)`` of the inertial samples.
+
+        Without velocities in the file the twist is that of the gyro, and its velocity is not measured, 0.
+        """
+        small, checks, keys = self._arrays.small, self._checks, self._arrays.keys
+        if imu is not None and "angular_velocity" not in keys:
+            twist = np.hstack([imu.gyro, np.zeros_like(imu.gyro)])
+            return imu.stamp.copy(), twist, np.full(len(imu), np.nan)
+        if "inertial_stamp" in keys:
+            stamp = checks.stamps("inertial_stamp", small("inertial_stamp", largest=LARGEST_STAMP))
+        samples = len(stamp)
+        rate = small("angular_velocity", (samples, 3), largest=LARGEST_TWIST, unit="rad/s")
+        velocity = small("linear_velocity", (samples, 3), largest=LARGEST_TWIST, unit="m/s")
+        climb = np.full(samples, np.nan)
+        if "climb_rate" in keys:
+            climb = small("climb_rate", (samples,), largest=LARGEST_TWIST, unit="m/s")
+        return stamp, np.hstack([rate, velocity]), climb
+
+    def _imu(self) -> ImuSeries | None:
+        """Raw inertia, where the file has it."""
+        if "imu_stamp" not in self._arrays.keys:
+            return None
+        small = self._arrays.small
+        stamp = small("imu_stamp", largest=LARGEST_STAMP)
+        if stamp.ndim != 1 or len(stamp) < _FEWEST_IMU:
+            raise self._checks.fail("imu_stamp", f"of shape (N,), N at least {_FEWEST_IMU}", f"{stamp.shape}")
+        shape = (len(stamp), 3)
+        gyro = small("imu_gyro", shape, largest=LARGEST_TWIST, unit="rad/s")
+        accel = small("imu_accel", shape, largest=LARGEST_FORCE, unit="m/s^2")
+        back = np.count_nonzero(np.diff(stamp) <= 0.0)
+        if 2 * back > len(stamp):
+            raise self._checks.fail("imu_stamp", "increasing [s]", f"{back} of {len(stamp)} that are not")
+        return ImuSeries.of(stamp, gyro, accel)
 
     def _whole(self, key: str, count: int | None, *, below: int | None = None) -> IntArray:
         """Whole numbers ``(n,)`` from 0 on."""
@@ -202,6 +239,9 @@ def write_tracks_npz(path: Path, recording: Recording) -> None:
     }
     if np.isfinite(sequence.climb_rate).all():
         arrays["climb_rate"] = sequence.climb_rate
+    if sequence.imu is not None:
+        arrays["imu_stamp"] = sequence.imu.stamp - sequence.clock_offset
+        arrays["imu_gyro"], arrays["imu_accel"] = sequence.imu.gyro, sequence.imu.accel
     if sequence.stand_in:
         arrays["simulated"] = np.array(1)
     if reference is not None and reference.pose is not None:

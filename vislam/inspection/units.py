@@ -34,8 +34,12 @@ def in_plausible_units(raw: Sequence) -> Sequence:
     The sequence itself where nothing about it is implausible.
     """
     for item in implausible(raw):
+        scale, imu = item.stamp_scale, raw.imu
         raw = replace(
-            raw, stamp=raw.stamp * item.stamp_scale, inertial_stamp=raw.inertial_stamp * item.stamp_scale
+            raw,
+            stamp=raw.stamp * scale,
+            inertial_stamp=raw.inertial_stamp * scale,
+            imu=None if imu is None else replace(imu, stamp=imu.stamp * scale),
         )
         if item.baseline is not None:
             raw = replace(raw, rig=replace(raw.rig, baseline=item.baseline))
