@@ -12,7 +12,7 @@ import pytest
 
 from tests.study.processes import environment, python, until
 from vislam.base.errors import DivergedError
-from vislam.calibration.workers import Workers
+from vislam.base.workers import Workers
 
 CONFIG = """\
 name: small

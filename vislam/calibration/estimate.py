@@ -13,7 +13,7 @@ from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import ROUNDS, Round, maximise
-from vislam.calibration.workers import Workers
+from vislam.base.workers import Workers
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run

@@ -7,7 +7,7 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.calibration.workers import Workers
+from vislam.base.workers import Workers
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset

@@ -1,4 +1,4 @@
-"""Processes that share the runs of the filter: replaced when lost, and ended with the caller."""
+"""Processes that share runs of estimators: replaced when lost, and ended with the caller."""
 
 import logging
 import multiprocessing
@@ -16,7 +16,7 @@ from vislam.base.errors import DivergedError
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
-_log = logging.getLogger("vislam.calibration")
+_log = logging.getLogger("vislam.base")
 _HELD = {signal.SIGINT, signal.SIGTERM}
 _MOST_LOSSES = 3
 """Losses after which no more workers are started: then it is not by chance."""
@@ -81,7 +81,7 @@ class Workers:
         if self._losses > _MOST_LOSSES:
             raise DivergedError(
                 f"worker processes were lost {self._losses} times, killed or out of memory; "
-                "use --processes 1, or fewer --frames"
+                "use one process, or fewer frames"
             )
         self._say(f"a worker process was lost; starting anew ({self._losses} of {_MOST_LOSSES})")
         self._start()
