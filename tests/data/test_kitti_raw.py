@@ -108,7 +108,7 @@ def test_missing_images_take_their_pair_with_them(drive):
     (drive / "image_01" / "data" / "0000000002.png").unlink()
     (drive / "image_00" / "data" / "0000000003.png").unlink()
     recording = open_images(drive)
-    assert [path.stem[-1] for path in recording.left] == ["0", "1", "4", "5"]
+    assert [path.stem[-1] for path in recording.left.paths] == ["0", "1", "4", "5"]
     assert np.allclose(np.diff(recording.stamp), [0.1, 0.3, 0.1])
     assert recording.counts["images_missing_left"] == recording.counts["images_missing_right"] == 1
 

@@ -24,7 +24,8 @@ def recording(name, pairs):
     if not folder.is_dir():
         pytest.skip(f"{folder} is not here")
     found = open_images(folder)
-    return replace(found, stamp=found.stamp[:pairs], left=found.left[:pairs], right=found.right[:pairs])
+    first = np.arange(len(found)) < pairs
+    return replace(found, stamp=found.stamp[first], left=found.left.of(first), right=found.right.of(first))
 
 
 def test_a_car_s_distance_is_that_of_its_gnss():

@@ -100,6 +100,8 @@ LEFT_OUT = (
     "images_corrupt",
     "images_truncated",
     "images_of_wrong_size",
+    "images_of_unknown_encoding",
+    "images_late",
     "frames_held",
 )
 """Counts of images and pairs that went into no track."""

@@ -1,12 +1,65 @@
-"""A stereo recording as images: files, stamps and cameras of each pair; no pixel is held."""
+"""A stereo recording as images: stamps, cameras, and where the images of each pair are; no pixel is held."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vislam.base.types import Array
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.models.stereo_pair import StereoPair
+
+
+@dataclass(frozen=True)
+class RawImage:
+    """An image as a message carries it, without compression.
+
+    Attributes
+    ----------
+    encoding : str
+        How its pixels are laid out, by the names of ``sensor_msgs/image_encodings``: ``mono8``, ``bgr8`` ...
+    height, width : int
+        [px].
+    step : int
+        Bytes of a row.
+    data : (height * step,)
+        Bytes.
+    big_endian : bool
+        Of pixels with more than eight bits a channel.
+    """
+
+    encoding: str
+    height: int
+    width: int
+    step: int
+    data: NDArray[np.uint8]
+    big_endian: bool = False
+
+
+Content = bytes | RawImage
+"""What is stored of an image: the bytes of an image file, or pixels."""
+
+
+class Images(Protocol):
+    """Images of one camera, in the order of their stamps; one is in memory at a time."""
+
+    @property
+    def place(self) -> str:
+        """Where they are, for messages."""
+
+    def __len__(self) -> int:
+        """Return the number of images."""
+
+    def __iter__(self) -> Iterator[Content | None]:
+        """Read one after the other; None is one that cannot be read."""
+
+    def of(self, rows: "IntArray | BoolArray") -> "Images":
+        """The images of a mask or of indices."""
+
+    def present(self) -> BoolArray:
+        """Mask ``(n,)`` of those that are there."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +127,8 @@ class ImageRecording:
     name : str
     stamp : (T,)
         Of the left images, increasing [s].
-    left, right : tuple of Path
-        One file a pair.
+    left, right : Images
+        One image a pair.
     pair : StereoPair
         Cameras, and the rectified pair.
     inertia : Inertia or None
@@ -88,8 +141,8 @@ class ImageRecording:
 
     name: str
     stamp: Array
-    left: tuple[Path, ...]
-    right: tuple[Path, ...]
+    left: Images
+    right: Images
     pair: StereoPair
     inertia: Inertia | None = None
     reference: StampedPoses | ReferenceFile | None = None

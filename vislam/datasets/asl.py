@@ -13,7 +13,7 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.core.images import ImageRecording, Inertia, ReferenceFile
 from vislam.datasets.calibration_yaml import MountedCamera, imu_in_body, read_camchain, read_sensor
-from vislam.datasets.image_lists import NANOSECONDS, Listed, paired
+from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
 from vislam.datasets.text import read_lines, read_table
 from vislam.models.stereo_pair import rectified
 
@@ -62,8 +62,8 @@ def load_asl(folder: Path) -> ImageRecording:
     return ImageRecording(
         name=mav0.absolute().parent.name if mav0.name == "mav0" else mav0.absolute().name,
         stamp=np.asarray(left.stamp_ns * NANOSECONDS, dtype=np.float64),
-        left=left.paths,
-        right=right.paths,
+        left=left.images,
+        right=right.images,
         pair=pair,
         inertia=inertia,
         reference=_reference(mav0),
@@ -87,7 +87,7 @@ def _listed(folder: Path) -> Listed:
             raise DataError(f"{path}:{number}: must be a stamp [ns], a comma and a file name, got {shown!r}")
         stamps.append(int(stamp))
         paths.append(folder / "data" / plain)
-    return Listed(np.array(stamps, dtype=np.int64), tuple(paths))
+    return Listed(np.array(stamps, dtype=np.int64), ImageFiles(tuple(paths)))
 
 
 def _cameras(mav0: Path) -> tuple[MountedCamera, MountedCamera]:

@@ -13,7 +13,7 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
-from vislam.datasets.image_lists import NANOSECONDS, Listed, paired
+from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
 from vislam.datasets.oxts import read_oxts, read_timestamps
 from vislam.datasets.oxts_poses import oxts_poses
 from vislam.datasets.text import read_lines
@@ -67,8 +67,8 @@ def load_kitti_raw(folder: Path) -> ImageRecording:
     return ImageRecording(
         name=drive.name,
         stamp=stamp,
-        left=left.paths,
-        right=right.paths,
+        left=left.images,
+        right=right.images,
         pair=pair,
         inertia=inertia,
         reference=reference,
@@ -85,7 +85,7 @@ def _listed(folder: Path) -> Listed:
     some = next(iter(names.values()), None)
     suffix = ".png" if some is None else some.suffix
     paths = [names.get(f"{number:010d}", data / f"{number:010d}{suffix}") for number in range(len(stamp))]
-    return Listed(stamp, tuple(paths))
+    return Listed(stamp, ImageFiles(tuple(paths)))
 
 
 def _pair(drive: Path, sides: tuple[str, str]) -> StereoPair:

@@ -10,7 +10,7 @@ from pathlib import Path
 from vislam.base.errors import ConfigError
 from vislam.base.files import replace_whole
 from vislam.base.progress import Progress
-from vislam.core.images import ImageRecording, StampedPoses
+from vislam.core.images import Content, ImageRecording, StampedPoses
 from vislam.datasets.download import cache_folder
 from vislam.frontend.settings import FrontEndConfig
 
@@ -94,20 +94,21 @@ def _digest(recording: ImageRecording, config: FrontEndConfig, progress: Progres
     if isinstance(reference, StampedPoses):
         digest.update(reference.stamp.tobytes() + reference.world_T_imu.tobytes())
     with progress.bar("reading", len(recording)) as bar:
-        for count, paths in enumerate(zip(recording.left, recording.right, strict=True), 1):
-            for path in paths:
-                digest.update(_content(path))
+        for count, contents in enumerate(zip(recording.left, recording.right, strict=True), 1):
+            for content in contents:
+                digest.update(_content(content))
             bar.done(count)
     return digest.hexdigest()[:_DIGITS]
 
 
-def _content(path: Path) -> bytes:
-    """Hash of a file; one that cannot be read has the hash of nothing."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError:
+def _content(content: Content | None) -> bytes:
+    """Hash of an image; one that cannot be read has the hash of nothing."""
+    if content is None:
         return b""
+    if isinstance(content, bytes):
+        return hashlib.sha256(content).digest()
+    layout = (content.encoding, content.height, content.width, content.step, content.big_endian)
+    return hashlib.sha256(f"{layout}".encode() + content.data.tobytes()).digest()
 
 
 def _opencv_version() -> str:

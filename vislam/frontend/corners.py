@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.frontend.pictures import Picture
+from vislam.frontend.decoding import Picture
 from vislam.frontend.settings import FrontEndConfig
 
 _BLOCK = 5

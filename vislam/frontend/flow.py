@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.frontend.pictures import Picture
+from vislam.frontend.decoding import Picture
 from vislam.frontend.settings import FrontEndConfig
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)

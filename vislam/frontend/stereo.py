@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
+from vislam.frontend.decoding import Picture
 from vislam.frontend.flow import follow
-from vislam.frontend.pictures import Picture
 from vislam.frontend.settings import FrontEndConfig
 from vislam.models.stereo_pair import StereoPair
 

@@ -71,7 +71,7 @@ def track(recording: ImageRecording, config: FrontEndConfig, *, progress: Progre
     counts = {**recording.counts, **pictures.counts, **tracker.counts, "frames": len(kept)}
     if len(kept) < _FEWEST:
         told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
-        raise DataError(f"{recording.left[0].parent}: must have {_FEWEST} pairs that can be used ({told})")
+        raise DataError(f"{recording.left.place}: must have {_FEWEST} pairs that can be used ({told})")
     return _assembled(recording, config, kept, counts, seconds=seconds)
 
 
@@ -97,7 +97,7 @@ def _assembled(
     if not long_enough.any():
         told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
         raise DataError(
-            f"{recording.left[0].parent}: no track of {config.fewest_observations} observations was "
+            f"{recording.left.place}: no track of {config.fewest_observations} observations was "
             f"found ({told}); "
             "are left and right in order, and is the calibration of these images?"
         )

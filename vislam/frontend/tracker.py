@@ -8,9 +8,9 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.frontend.consensus import agree
 from vislam.frontend.corners import cells, new_corners
+from vislam.frontend.decoding import Picture
 from vislam.frontend.flow import follow, within
 from vislam.frontend.gyro import Turns
-from vislam.frontend.pictures import Picture
 from vislam.frontend.settings import FrontEndConfig
 from vislam.frontend.stereo import Matches, carried, matched
 from vislam.frontend.tracks import Tracks
