@@ -9,11 +9,11 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray
+from vislam.base.workers import Workers
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import match_level
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import ROUNDS, Round, maximise
-from vislam.base.workers import Workers
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
