@@ -10,7 +10,7 @@ from vislam.base import settings
 from vislam.base.fields import STRICT
 from vislam.base.types import Array
 from vislam.comparison.config import Six
-from vislam.core.estimator import UNKNOWN_CLIMB, Problem
+from vislam.core.estimator import UNKNOWN_VERTICAL_VELOCITY, Problem
 from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.models import odometry as motion
@@ -38,9 +38,9 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
 class DeadReckoning:
     """Integrates the twist less the prior mean of its bias (eqs. 23 to 25), and the vertical velocity.
 
-    Where the vertical velocity is in use (``noise.climb``) the height is its integral, and the twist has no
-    say in it; nothing is fused. The height's variance is that of the walk of the integral and of the tilt of
-    the first pose over the distance from the start.
+    Where the vertical velocity is in use (``noise.vertical_velocity``) the height is its integral, and the
+    twist has no say in it; nothing is fused. The height's variance is that of the walk of the integral and of
+    the tilt of the first pose over the distance from the start.
     """
 
     blind = True
@@ -74,23 +74,25 @@ class DeadReckoning:
             noise = np.diag([*options.motion_variance, *np.zeros(6)])
         self._world_T_imu = self._world_T_imu @ step.prev_T_next
         self._cov = transition @ self._cov @ transition.T + noise
-        climb = problem.climb
-        if climb is not None:
-            known = np.isfinite(frame.odometry.climb_rate)
-            self._height += frame.dt * frame.odometry.climb_rate if known else 0.0
-            self._height_variance += frame.dt * climb.walk**2 if known else (frame.dt * UNKNOWN_CLIMB) ** 2
+        rise = problem.vertical_velocity
+        if rise is not None:
+            known = np.isfinite(frame.odometry.vertical_velocity)
+            self._height += frame.dt * frame.odometry.vertical_velocity if known else 0.0
+            self._height_variance += (
+                frame.dt * rise.walk**2 if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
+            )
 
     def _with_height(self) -> tuple[Array, Array]:
         """Pose and covariance, on its right, with the height as the vertical velocity has led."""
-        pose, cov, climb = self._world_T_imu, self._cov[POSE, POSE].copy(), self._problem.climb
-        if climb is None:
+        pose, cov, rise = self._world_T_imu, self._cov[POSE, POSE].copy(), self._problem.vertical_velocity
+        if rise is None:
             return pose, cov
         pose = pose.copy()
         pose[2, 3] = self._height
         turn = np.eye(6)
         turn[3:, 3:] = pose[:3, :3]
         cov = turn @ cov @ turn.T
-        variance = self._height_variance + climb.tilt_sigma**2 * float(pose[:2, 3] @ pose[:2, 3])
+        variance = self._height_variance + rise.tilt_sigma**2 * float(pose[:2, 3] @ pose[:2, 3])
         cov[5], cov[:, 5] = 0.0, 0.0
         cov[5, 5] = max(variance, float(self._problem.first_pose_sigma[5]) ** 2)
         return pose, turn.T @ cov @ turn

@@ -35,7 +35,7 @@ _SIMULATION = SimulationConfig(
     loss_probability=0.1,
     pixel_sigma_px=0.3,
     drift_px=0.1,
-    match_px=0.4,
+    matching_bias_px=0.4,
     gyro_bias=(0.003, -0.002, 0.004),
 )
 
@@ -149,7 +149,7 @@ def _config(frames: int) -> Config:
         noise=NoiseConfig(
             pixel_sigma_px=simulation.pixel_sigma_px,
             drift_px=simulation.drift_px,
-            match_px=simulation.match_px,
+            matching_bias_px=simulation.matching_bias_px,
             twist_density=(turn, turn, turn, slip, slip, slip),
         ),
     )

@@ -86,10 +86,10 @@ MUTATIONS = (
         EKF,
     ),
     Mutation(
-        "climb with the wrong sign",
+        "vertical velocity with the wrong sign",
         "vislam/estimators/ekf/motion.py",
-        'by_nav[0, layout["climb"]] = -1.0',
-        'by_nav[0, layout["climb"]] = 1.0',
+        'by_nav[0, layout["height"]] = -1.0',
+        'by_nav[0, layout["height"]] = 1.0',
         EKF,
     ),
     Mutation(
@@ -229,7 +229,7 @@ MUTATIONS = (
         SMOOTHER,
     ),
     Mutation(
-        "climb's walk without the root",
+        "walk of the height without the root",
         "vislam/estimators/smoother/motion.py",
         "np.sqrt(frame.dt) * self._noise.walk",
         "frame.dt * self._noise.walk",

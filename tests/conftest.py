@@ -79,8 +79,8 @@ SHORT = SimulationConfig(
     tracks_in_view=25,
     pixel_sigma_px=0.3,
     drift_px=0.1,
-    match_px=0.4,
-    stale_probability=0.1,
+    matching_bias_px=0.4,
+    duplication_probability=0.1,
     gyro_bias=(0.003, -0.002, 0.004),
     gyro_sigma=0.002,
     velocity_sigma=0.02,
@@ -107,7 +107,9 @@ def short_config() -> Config:
     return Config(
         name="short",
         data=DataConfig(simulation=SHORT, repair=RepairConfig(consensus=None)),
-        noise=NoiseConfig(pixel_sigma_px=0.3, drift_px=0.1, match_px=0.4, twist_density=tuple(density)),
+        noise=NoiseConfig(
+            pixel_sigma_px=0.3, drift_px=0.1, matching_bias_px=0.4, twist_density=tuple(density)
+        ),
         # Each test says itself which observations are left out.
         common_set_from=(),
     )
@@ -120,7 +122,7 @@ def short(short_config: Config) -> Dataset:
 
 def plain_motion(config: Config) -> Config:
     """The same of whose motion nothing but the twist is known, as the references of the tests take it."""
-    return replace(config, noise=replace(config.noise, climb=None, acceleration_density=None))
+    return replace(config, noise=replace(config.noise, vertical_velocity=None, acceleration_density=None))
 
 
 def recorded(name: str) -> Path:

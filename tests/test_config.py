@@ -68,15 +68,45 @@ def test_an_ablation_chain_is_replaced_whole_and_told_whole(tmp_path):
     assert config.with_estimators(found, {"ekf": {}}).ablation_chain == {}
 
 
-def test_former_names_of_sections_are_taken_and_noted(tmp_path, caplog):
-    former = write(tmp_path, "former.yaml", f"{BASE}ladder: {{ekf: all}}\nfrozen_by: [ekf]")
-    found = config.load(former, overrides={"frozen_by": ["isam2"]})
+FORMER = """
+noise: {match_px: 0.3, climb: {walk: 0.1}}
+data:
+  simulation: {match_px: 0.2, match_share: 0.01, levelled_velocity: true, stale_probability: 0.1}
+  repair: {stale_tracks: false, single_sightings: false, levelled_velocity: true}
+ladder: {ekf: all}
+frozen_by: [ekf]
+study: {grid: {noise.match_px: [0.1, 0.2], noise.climb.walk: [0.1]}}
+"""
+
+
+def test_former_names_of_keys_are_accepted_and_noted_in_one_line(tmp_path, caplog):
+    former = write(tmp_path, "former.yaml", f"name: former\n{FORMER}")
+    found = config.load(former, overrides={"frozen_by": ["isam2"], "noise.climb.walk": 0.2})
     assert found.ablation_chain == {"ekf": "all"}
     assert found.common_set_from == ("isam2",)
-    assert "frozen_by is now called common_set_from" in caplog.text
-    both = write(tmp_path, "both.yaml", f"{BASE}frozen_by: []\ncommon_set_from: []")
-    with pytest.raises(ConfigError, match="the former name of common_set_from: give one"):
-        config.load(both)
+    assert (found.noise.matching_bias_px, found.noise.vertical_velocity.walk) == (0.3, 0.2)
+    simulated, repair = found.data.simulation, found.data.repair
+    assert (simulated.matching_bias_px, simulated.matching_bias_share) == (0.2, 0.01)
+    assert (simulated.navigation_frame_velocity, simulated.duplication_probability) == (True, 0.1)
+    assert (repair.duplicated_tracks, repair.single_observations) == (None, None)
+    assert repair.navigation_frame_velocity is not None
+    assert list(found.study["grid"]) == ["noise.matching_bias_px", "noise.vertical_velocity.walk"]
+    (line,) = [record.message for record in caplog.records if "former.yaml" in record.message]
+    assert "frozen_by is now called common_set_from" in line
+    assert "noise.match_px is now called matching_bias_px" in line
+    assert line.endswith("this version takes the former names, too")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frozen_by: []\ncommon_set_from: []", "frozen_by is the former name of common_set_from: give one"),
+        ("noise: {match_px: 1, matching_bias_px: 1}", "match_px is the former name of matching_bias_px"),
+    ],
+)
+def test_a_key_under_both_its_names_gets_a_line(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        config.load(write(tmp_path, "both.yaml", f"{BASE.partition('noise')[0]}{text}"))
 
 
 @pytest.mark.parametrize(

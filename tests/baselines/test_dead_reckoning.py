@@ -7,7 +7,7 @@ import pytest
 
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem
-from vislam.comparison.config import ClimbConfig, Config
+from vislam.comparison.config import Config, VerticalVelocityConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators import loop
 from vislam.geometry import se3
@@ -60,13 +60,13 @@ def test_the_vertical_velocity_holds_the_height(short_config: Config):
     """As it does in the fused estimators: without it a bias of the pitch rate takes the path off the
     ground."""
     simulation = replace(
-        short_config.data.simulation, frames=150, levelled_velocity=True, gyro_bias=(0.0, 0.01, 0.0)
+        short_config.data.simulation, frames=150, navigation_frame_velocity=True, gyro_bias=(0.0, 0.01, 0.0)
     )
-    repair = replace(short_config.data.repair, levelled_velocity=True)
+    repair = replace(short_config.data.repair, navigation_frame_velocity=True)
     data = replace(short_config.data, simulation=simulation, repair=repair)
     dataset, off = open_dataset(data, seed=3), []
-    for climb in (None, ClimbConfig()):
-        config = replace(short_config, data=data, noise=replace(short_config.noise, climb=climb))
+    for rise in (None, VerticalVelocityConfig()):
+        config = replace(short_config, data=data, noise=replace(short_config.noise, vertical_velocity=rise))
         run = reckon(dataset, config)
         risen = dataset.reference.pose[-1, 2, 3] - dataset.reference.pose[0, 2, 3]
         off.append(abs(run.final.world_T_imu[-1, 2, 3] - risen))

@@ -56,7 +56,7 @@ def same(one: Run, other: Run, *, within: float) -> None:
 
 
 def test_mended_it_equals_the_filter(monkeypatch):
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-9)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-9)
     config, dataset = drive(seed=3, frames=80, outlier_probability=0.05)
     one = filtered(config, dataset, **MENDED)
     assert one.gated.any()
@@ -68,7 +68,7 @@ def test_mended_it_equals_the_filter(monkeypatch):
 def test_mended_it_equals_the_filter_on_recorded_data(monkeypatch, name: str):
     config = plain_motion(configuration.load(CONFIGS / f"{name}.yaml"))
     recorded(config.data.file)
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-9)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-9)
     dataset = open_dataset(config.data, seed=0, allow_stand_in=False)
     same(filtered(config, dataset, **MENDED), ours(config, dataset), within=1e-6)
 

@@ -25,7 +25,7 @@ CLOCK = 0.02
 PLANTED = {
     "noise.pixel_sigma_px": 0.3,
     "noise.drift_px": 0.1,
-    "noise.match_px": 0.4,
+    "noise.matching_bias_px": 0.4,
     "noise.twist_density (gyro)": DENSITY[0],
     "noise.twist_density (forward)": DENSITY[3],
     "noise.twist_density (lateral)": DENSITY[4],
@@ -42,7 +42,7 @@ def simulated(seed: int, *, frames: int, tracks: float = 25.0, **changes) -> Dat
     Noise of the samples would not do: to move the clock would then move the noise, and averages of shifted
     samples have less of it, which a likelihood takes for evidence.
     """
-    values = {"pixel_sigma_px": 0.3, "drift_px": 0.1, "match_px": 0.4, "density": DENSITY, **changes}
+    values = {"pixel_sigma_px": 0.3, "drift_px": 0.1, "matching_bias_px": 0.4, "density": DENSITY, **changes}
     density = values.pop("density")
     # No track begins so far away that its depth were not normal.
     config = SimulationConfig(frames=frames, tracks_in_view=tracks, depth_max=40.0, **values)
@@ -54,7 +54,7 @@ def simulated(seed: int, *, frames: int, tracks: float = 25.0, **changes) -> Dat
         stamp=config.period * np.arange(frames),
         inertial_stamp=at,
         twist=path.twist(at - CLOCK) + BIAS,
-        climb_rate=np.full(len(at), np.nan),
+        vertical_velocity=np.full(len(at), np.nan),
         rig=rig,
         offset=np.zeros(frames + 1, np.int64),
         track=np.empty(0, np.int64),
@@ -80,12 +80,14 @@ def simulated(seed: int, *, frames: int, tracks: float = 25.0, **changes) -> Dat
 
 def config_of(*, clock: float | None = None, **noise) -> Config:
     """Config with the planted noise, unless changed, and no repair but the clock's."""
-    nothing = dict.fromkeys(("stale_tracks", "disparity", "interruptions", "consensus", "single_sightings"))
+    nothing = dict.fromkeys(
+        ("duplicated_tracks", "disparity", "interruptions", "consensus", "single_observations")
+    )
     steps = RepairConfig(**nothing, clock=None if clock is None else Clock(offset=clock))
     values = {
         "pixel_sigma_px": 0.3,
         "drift_px": 0.1,
-        "match_px": 0.4,
+        "matching_bias_px": 0.4,
         "twist_density": tuple(DENSITY.tolist()),
         "bias_walk": (0.0,) * 6,
         **noise,
@@ -100,7 +102,9 @@ def config_of(*, clock: float | None = None, **noise) -> Config:
 def off() -> Config:
     """Where the searches start: every level some way off, the clock unknown."""
     density = DENSITY * [1.4, 1.4, 1.4, 1.4, 0.7, 1.4]
-    return config_of(pixel_sigma_px=0.4, drift_px=0.15, match_px=0.6, twist_density=tuple(density.tolist()))
+    return config_of(
+        pixel_sigma_px=0.4, drift_px=0.15, matching_bias_px=0.6, twist_density=tuple(density.tolist())
+    )
 
 
 def only(*names: str):
@@ -185,9 +189,9 @@ def test_noise_of_piecewise_constant_steps_is_found():
     noise = DENSITY / np.sqrt(dt) * np.random.default_rng(4).standard_normal(whole.shape)
     stamp, twist = piecewise_constant(dataset.sequence.stamp, whole + noise)
     sequence = replace(
-        dataset.sequence, inertial_stamp=stamp, twist=twist, climb_rate=np.full(len(stamp), np.nan)
+        dataset.sequence, inertial_stamp=stamp, twist=twist, vertical_velocity=np.full(len(stamp), np.nan)
     )
-    start = replace(off().noise, pixel_sigma_px=0.3, drift_px=0.1, match_px=0.4)
+    start = replace(off().noise, pixel_sigma_px=0.3, drift_px=0.1, matching_bias_px=0.4)
     chosen = only("(gyro)", "(forward)", "(lateral)", "(vertical)")
     result = calibrate(replace(off(), noise=start), replace(dataset, sequence=sequence), chosen)
     errors = deviations(result)
@@ -246,8 +250,8 @@ def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
         assert 0.93 < ratio(result.after) < 1.07
         for name, deviation in deviations(result).items():
             covered.setdefault(name, []).append(abs(deviation) < 1.96)
-        levels.append(result.config.noise.match_px)
-    match = covered.pop("noise.match_px")
+        levels.append(result.config.noise.matching_bias_px)
+    match = covered.pop("noise.matching_bias_px")
     assert len(covered) == 7 + 6
     assert len(match) == 12
     rates = {name: float(np.mean(hits)) for name, hits in covered.items()}
@@ -258,4 +262,4 @@ def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
     assert pooled.mean() >= 0.85, rates
     assert np.mean(match) >= 0.5
     assert min(rates.values()) >= 0.5, rates
-    assert np.mean(levels) == pytest.approx(PLANTED["noise.match_px"], rel=0.15)
+    assert np.mean(levels) == pytest.approx(PLANTED["noise.matching_bias_px"], rel=0.15)

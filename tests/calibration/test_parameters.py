@@ -8,7 +8,7 @@ import pytest
 from vislam.base.errors import DataError
 from vislam.calibration.likelihood import Evaluator, first_frames
 from vislam.calibration.parameters import MATCH, parameters
-from vislam.comparison.config import ClimbConfig, Config, DataConfig, NoiseConfig
+from vislam.comparison.config import Config, DataConfig, NoiseConfig, VerticalVelocityConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.sequence import Sequence
 from vislam.repair import RepairConfig
@@ -18,7 +18,7 @@ from vislam.simulation import SimulationConfig
 
 EVERY = [*parameters(inertial=True, disparity_offset=True), MATCH]
 NOISE = NoiseConfig(
-    pixel_sigma_px=0.3, drift_px=0.1, match_px=0.4, twist_density=(1e-3, 1e-3, 1e-3, 0.02, 0.03, 0.04)
+    pixel_sigma_px=0.3, drift_px=0.1, matching_bias_px=0.4, twist_density=(1e-3, 1e-3, 1e-3, 0.02, 0.03, 0.04)
 )
 PLAIN = Config(name="plain", data=DataConfig(simulation=SimulationConfig(frames=12)), noise=NOISE)
 SET = replace(
@@ -34,7 +34,7 @@ SET = replace(
 CHANGED = {
     "noise.pixel_sigma_px": ["noise.pixel_sigma_px"],
     "noise.drift_px": ["noise.drift_px"],
-    "noise.match_px": ["noise.match_px"],
+    "noise.matching_bias_px": ["noise.matching_bias_px"],
     "noise.twist_density (gyro)": [f"noise.twist_density.{index}" for index in range(3)],
     "noise.twist_density (forward)": ["noise.twist_density.3"],
     "noise.twist_density (lateral)": ["noise.twist_density.4"],
@@ -191,7 +191,11 @@ def test_fewer_than_two_frames_are_no_drive(dataset, frames):
 
 MOVING = replace(
     PLAIN,
-    noise=replace(NOISE, acceleration_density=(0.05, 0.15, 0.1, 1.0, 0.2, 0.4), climb=ClimbConfig(walk=0.1)),
+    noise=replace(
+        NOISE,
+        acceleration_density=(0.05, 0.15, 0.1, 1.0, 0.2, 0.4),
+        vertical_velocity=VerticalVelocityConfig(walk=0.1),
+    ),
 )
 OF_MOTION = {
     "noise.acceleration_density (roll and pitch)": range(2),
@@ -204,7 +208,7 @@ OF_MOTION = {
 def test_levels_of_the_motion_are_searched_where_the_config_uses_them():
     names = [item.name for item in parameters()]
     assert [item.name for item in parameters(PLAIN)] == names
-    assert [item.name for item in parameters(MOVING)] == [*names, *OF_MOTION, "noise.climb.walk"]
+    assert [item.name for item in parameters(MOVING)] == [*names, *OF_MOTION, "noise.vertical_velocity.walk"]
 
 
 def test_a_level_of_the_motion_changes_its_own_components_and_keeps_their_ratio():
@@ -218,12 +222,12 @@ def test_a_level_of_the_motion_changes_its_own_components_and_keeps_their_ratio(
             assert np.allclose(after[own] / before[own], after[own][0] / before[own][0])
             assert np.isclose(np.mean(after[own]), 0.3)
         assert np.array_equal(np.delete(after, own), np.delete(before, own))
-        assert (changed.noise.climb.walk == 0.1) == (item.name != "noise.climb.walk")
+        assert (changed.noise.vertical_velocity.walk == 0.1) == (item.name != "noise.vertical_velocity.walk")
 
 
 def test_what_is_measured_of_the_motion_is_in_the_likelihood():
     """Too smooth a body is told by its inertial samples: likelihood falls away on both sides of a level."""
-    smooth = replace(MOVING, noise=replace(MOVING.noise, climb=None))
+    smooth = replace(MOVING, noise=replace(MOVING.noise, vertical_velocity=None))
     drive = open_dataset(replace(SET.data, simulation=near(), repair=RepairConfig(consensus=None)), seed=5)
     usable = np.ones(drive.sequence.observations, bool)
     forward = next(item for item in parameters(smooth) if item.name.endswith("(forward)"))

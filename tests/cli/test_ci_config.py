@@ -29,9 +29,13 @@ def test_its_noise_section_states_what_is_simulated():
     simulated, noise = config.data.simulation, config.noise
     sigma = np.repeat([simulated.gyro_sigma, simulated.velocity_sigma], 3)
     assert noise.twist_density == pytest.approx(sigma * np.sqrt(simulated.period), rel=1e-8)
-    assert (noise.pixel_sigma_px, noise.drift_px, noise.match_px) == (simulated.pixel_sigma_px, 0.0, 0.0)
-    assert (simulated.drift_px, simulated.match_px) == (0.0, 0.0)
-    assert (simulated.outlier_probability, simulated.stale_probability) == (0.0, 0.0)
+    assert (noise.pixel_sigma_px, noise.drift_px, noise.matching_bias_px) == (
+        simulated.pixel_sigma_px,
+        0.0,
+        0.0,
+    )
+    assert (simulated.drift_px, simulated.matching_bias_px) == (0.0, 0.0)
+    assert (simulated.outlier_probability, simulated.duplication_probability) == (0.0, 0.0)
     bias = np.array([*simulated.gyro_bias, *simulated.velocity_bias])
     assert np.all(np.abs(bias - noise.bias_mean) <= noise.bias_sigma)
 

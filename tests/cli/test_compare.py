@@ -60,12 +60,12 @@ def test_every_repair_is_in_the_report_on_or_off(tmp_path):
     steps = {
         step["name"]: step for step in json.loads((folder / "metrics.json").read_text())["dataset"]["repairs"]
     }
-    assert steps["stale_tracks"]["applied"]
-    assert steps["stale_tracks"]["counts"]["stale_frames"] > 0
+    assert steps["duplicated_tracks"]["applied"]
+    assert steps["duplicated_tracks"]["counts"]["duplicated_frames"] > 0
     assert steps["clock"]["options"] == {"offset": 0.05}
     assert not steps["consensus"]["applied"]
     page = (folder / "report.html").read_text()
-    assert '<th scope="row">stale tracks</th><td>on</td>' in page
+    assert '<th scope="row">duplicated tracks</th><td>on</td>' in page
     assert '<th scope="row">consensus</th><td>off</td>' in page
 
 

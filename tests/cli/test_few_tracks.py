@@ -20,12 +20,12 @@ SIMULATION = {
     "moving_share": 0.15,
     "pixel_sigma_px": 0.3,
     "drift_px": 0.1,
-    "match_px": 0.3,
+    "matching_bias_px": 0.3,
     "gyro_bias": [0.004, -0.003, 0.002],
-    "levelled_velocity": True,
+    "navigation_frame_velocity": True,
     "clock_offset": 0.05,
 }
-NOTHING = {"stale_tracks": False, "disparity": False, "consensus": False}
+NOTHING = {"duplicated_tracks": False, "disparity": False, "consensus": False}
 RUNS = {"dead_reckoning": {}, "ekf": {}, "ekf_invariant": {}, "eks": {}, "isam2": {"marginals": "poses"}}
 WORSE = 1.1
 

@@ -19,8 +19,8 @@ from vislam.inspection.written import annotated
 SPOILT = """
 name: spoilt
 data:
-  simulation: {frames: 120, tracks_in_view: 50, stale_probability: 0.1, extrinsic_axes: [x, -y, -z]}
-  repair: {stale_tracks: false}
+  simulation: {frames: 120, tracks_in_view: 50, duplication_probability: 0.1, extrinsic_axes: [x, -y, -z]}
+  repair: {duplicated_tracks: false}
 noise: {twist_density: [0.001, 0.001, 0.001, 0.006, 0.02, 0.02]}
 """
 
@@ -36,16 +36,16 @@ def test_it_says_writes_and_proposes(tmp_path, capsys):
     assert main(["--config", config, "--out", str(out), "--write-config", str(proposed)]) == 0
     said = capsys.readouterr().out
     assert "SIMULATED" in said
-    assert "FAULT   stale tracks" in said
+    assert "FAULT   duplicated tracks" in said
     assert "FAULT   axes and extrinsic" in said
     document = json.loads((out / "inspection.json").read_text())
     assert document["stand_in"] is True
-    assert document["proposal"]["data.repair.stale_tracks"] is True
+    assert document["proposal"]["data.repair.duplicated_tracks"] is True
     assert sorted(path.name for path in out.glob("*.png")) == ["checks.png", "motion.png", "tracks.png"]
     repaired = configuration.load(proposed).data.repair
     assert repaired.axes is not None
     assert repaired.axes.body == ("x", "-y", "-z")
-    assert repaired.stale_tracks is not None
+    assert repaired.duplicated_tracks is not None
 
 
 @pytest.mark.slow
@@ -55,7 +55,7 @@ def test_what_it_writes_has_no_such_fault_left(tmp_path, capsys):
     capsys.readouterr()
     assert main(["--config", str(proposed), "--out", str(tmp_path / "out"), "--strict"]) in (0, 3)
     said = capsys.readouterr().out
-    assert "FAULT   stale tracks" not in said
+    assert "FAULT   duplicated tracks" not in said
     assert "FAULT   axes and extrinsic" not in said
 
 
@@ -205,10 +205,17 @@ def test_what_could_not_be_told_is_marked_in_the_config(nowhere):
         == 0
     )
     lines = target.read_text().splitlines()
-    for key in ("clock:", "axes:", "levelled_velocity:", "pixel_sigma_px:", "bias_sigma:", "match_px:"):
+    for key in (
+        "clock:",
+        "axes:",
+        "navigation_frame_velocity:",
+        "pixel_sigma_px:",
+        "bias_sigma:",
+        "matching_bias_px:",
+    ):
         (at,) = (k for k, line in enumerate(lines) if line.strip().startswith(key))
         assert lines[at - 1].strip().startswith("# unknown: "), key
-    assert configuration.load(target).data.repair.levelled_velocity is not None
+    assert configuration.load(target).data.repair.navigation_frame_velocity is not None
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ data:
     frames: 50
     path: urban
     tracks_in_view: 15
-    stale_probability: 0.1
+    duplication_probability: 0.1
     dropped_probability: 0.1
     gyro_bias_walk: 0.001
     clock_offset: 0.02

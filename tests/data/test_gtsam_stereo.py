@@ -28,7 +28,7 @@ def test_samples_of_constant_twist_keep_every_step(rng):
     assert np.all(np.diff(inertial_stamp) > 0)
     sequence, _ = simulate(SimulationConfig(frames=30, tracks_in_view=2), seed=1, name="s")
     values = {**vars(sequence), "stamp": stamp, "inertial_stamp": inertial_stamp, "twist": twist}
-    values["climb_rate"] = np.full(len(twist), np.nan)
+    values["vertical_velocity"] = np.full(len(twist), np.nan)
     means, _ = type(sequence)(**values).step_means()
     # A step takes in a ten millionth of its neighbours' difference.
     assert np.allclose(means[1:], steps, rtol=0, atol=5e-6)

@@ -12,7 +12,7 @@ from vislam.comparison.config import DataConfig, InertialConfig
 from vislam.comparison.open import open_dataset
 from vislam.datasets.oxts import read_timestamps, with_oxts
 from vislam.geometry import se3
-from vislam.repair.inertial import LevelledVelocity
+from vislam.repair.inertial import NavigationFrameVelocity
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.path import DrivePath
 
@@ -47,7 +47,7 @@ def at_100_hz(seed):
     path = DrivePath(DRIVE, np.random.default_rng(seed))
     stamp = np.arange(-0.05, sequence.stamp[-1] + 0.05, 0.01)
     twist = path.twist(stamp)
-    twist[:, 5] = path.climb_rate(stamp)
+    twist[:, 5] = path.vertical_velocity(stamp)
     return sequence, truth, stamp, twist
 
 
@@ -78,8 +78,8 @@ def test_an_unsynced_folder_lies_in_the_recordings_clock(tmp_path):
     assert np.allclose(read.inertial_stamp, stamp + 50.0, atol=2e-9)
     assert read.counts["inertial_samples"] == len(stamp)
     assert read.counts["inertial_longest_gap_ms"] == 10
-    levelled = LevelledVelocity().apply(read)
-    assert np.allclose(levelled.climb_rate, twist[:, 5], rtol=1e-12)
+    levelled = NavigationFrameVelocity().apply(read)
+    assert np.allclose(levelled.vertical_velocity, twist[:, 5], rtol=1e-12)
     # The drive ends 50 m on; what is missing in height is the body's own heave.
     upright = replace(read, twist=np.column_stack([read.twist[:, :5], np.zeros(len(stamp))]))
     wanted = se3.inverse(truth.world_T_imu[0]) @ truth.world_T_imu[-1]

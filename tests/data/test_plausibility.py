@@ -180,7 +180,7 @@ def test_the_step_that_took_all_is_named_with_its_counts():
     assert f"disparity dropped {n} of {n} ({n} row difference)" in taken(apart)
     assert "data.repair.disparity switches it" in taken(apart)
     once = replace(sequence, track=np.arange(n))
-    assert f"single_sightings dropped {n} of {n}" in taken(once, disparity=None)
+    assert f"single_observations dropped {n} of {n}" in taken(once, disparity=None)
     assert "none was in the recording" in taken(sequence.select(np.zeros(n, bool)))
 
 

@@ -11,7 +11,7 @@ from vislam.comparison.config import DataConfig, RedrawConfig
 from vislam.comparison.redraw import redraw
 from vislam.core.reference import truth_reference
 from vislam.geometry import se3
-from vislam.repair.inertial import LevelledVelocity
+from vislam.repair.inertial import NavigationFrameVelocity
 from vislam.simulation import SimulationConfig, simulate
 
 FRAMES, PERIOD = 300, 0.1
@@ -37,12 +37,12 @@ def drive():
 
 def test_without_noise_the_motion_is_the_references(drive):
     sequence, reference, truth = drive
-    twist, climb = redraw(sequence, reference, NONE, seed=0).step_means()
+    twist, rise = redraw(sequence, reference, NONE, seed=0).step_means()
     found = [truth.world_T_imu[0]]
     for step in twist[1:]:
         found.append(found[-1] @ se3.exp(PERIOD * step))
     assert np.abs(np.array(found) - truth.world_T_imu).max() < 1e-5
-    assert np.isnan(climb).all()
+    assert np.isnan(rise).all()
 
 
 def test_the_noise_is_as_stated_and_each_seed_has_its_own(drive):
@@ -59,13 +59,13 @@ def test_the_noise_is_as_stated_and_each_seed_has_its_own(drive):
     assert "redrawn" in one.name
 
 
-def test_a_climb_rate_is_the_references_and_the_bodys_vertical_velocity_stays_0(drive):
+def test_a_vertical_velocity_is_the_references_and_the_bodys_own_stays_0(drive):
     sequence, reference, truth = drive
-    found = redraw(LevelledVelocity().apply(sequence), reference, NONE, seed=0)
-    twist, climb = found.step_means()
+    found = redraw(NavigationFrameVelocity().apply(sequence), reference, NONE, seed=0)
+    twist, rise = found.step_means()
     assert np.array_equal(twist[1:, 5], np.zeros(FRAMES - 1))
     height = (truth.world_T_imu @ reference.imu_T_point @ se3.inverse(reference.imu_T_point))[:, 2, 3]
-    assert np.allclose(climb[1:], np.diff(height) / PERIOD, atol=1e-5)
+    assert np.allclose(rise[1:], np.diff(height) / PERIOD, atol=1e-5)
 
 
 def test_frames_behind_the_reference_are_left_out_and_gaps_are_refused(drive):

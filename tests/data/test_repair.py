@@ -18,7 +18,7 @@ from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus, step_residuals
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
-from vislam.repair.tracks import Interruptions, StaleTracks, Thinning, stale_observations
+from vislam.repair.tracks import DuplicatedTracks, Interruptions, Thinning, duplicated_observations
 from vislam.simulation import SimulationConfig, simulate
 
 
@@ -33,7 +33,7 @@ def made_up(rows):
         stamp=np.arange(5.0),
         inertial_stamp=np.arange(5.0),
         twist=np.zeros((5, 6)),
-        climb_rate=np.full(5, np.nan),
+        vertical_velocity=np.full(5, np.nan),
         rig=StereoRig(500.0, 500.0, 320.0, 200.0, 0.5, np.eye(4)),
         offset=offset,
         track=table[:, 1].astype(np.int64),
@@ -42,7 +42,7 @@ def made_up(rows):
     )
 
 
-def test_a_stale_frame_starts_new_landmarks_and_loses_nothing():
+def test_a_duplicated_frame_starts_new_landmarks_and_loses_nothing():
     rows = [
         (0, 0, 100, 90),
         (0, 1, 200, 180),
@@ -54,16 +54,16 @@ def test_a_stale_frame_starts_new_landmarks_and_loses_nothing():
         (3, 0, 110, 95),
         (3, 1, 215, 190),
     ]
-    cut = StaleTracks().apply(made_up(rows))
+    cut = DuplicatedTracks().apply(made_up(rows))
     assert cut.observations == len(rows)
-    assert cut.counts == {"stale_frames": 1, "stale_cuts": 2, "lone_repeats": 0}
+    assert cut.counts == {"duplicated_frames": 1, "duplicated_cuts": 2, "lone_repeats": 0}
     assert cut.track.tolist() == [0, 1, 0, 1, 2, 3, 4, 2, 3]
 
 
-def test_a_lone_repeat_is_no_stale_frame():
+def test_a_lone_repeat_is_no_duplicated_frame():
     rows = [(k, j, 100 + 10 * j + (0 if (j, k) == (0, 1) else k), 90) for k in range(3) for j in range(4)]
-    cut = StaleTracks().apply(made_up(rows))
-    assert cut.counts == {"stale_frames": 0, "stale_cuts": 0, "lone_repeats": 1}
+    cut = DuplicatedTracks().apply(made_up(rows))
+    assert cut.counts == {"duplicated_frames": 0, "duplicated_cuts": 0, "lone_repeats": 1}
     assert len(np.unique(cut.track)) == 4
 
 
@@ -97,14 +97,14 @@ def test_step_means_average_the_lines_between_samples():
     assert np.allclose(twist[1:4, 0], [0.75, 1.75, 2.75])
 
 
-def test_planted_stale_frames_are_all_found():
-    config = SimulationConfig(frames=120, stale_probability=0.15, tracks_in_view=30)
+def test_planted_duplicated_frames_are_all_found():
+    config = SimulationConfig(frames=120, duplication_probability=0.15, tracks_in_view=30)
     sequence, _ = simulate(config, seed=5, name="planted")
-    stale, repeats = stale_observations(sequence)
+    duplicated, repeats = duplicated_observations(sequence)
     clean, _ = simulate(SimulationConfig(frames=120, tracks_in_view=30), seed=5, name="clean")
-    assert 5 < stale.sum() < 40
-    assert repeats.sum() > 10 * stale.sum()
-    assert not stale_observations(clean)[0].any()
+    assert 5 < duplicated.sum() < 40
+    assert repeats.sum() > 10 * duplicated.sum()
+    assert not duplicated_observations(clean)[0].any()
 
 
 def test_tracks_on_a_moving_object_are_cut(short: Dataset):
@@ -128,11 +128,11 @@ def test_a_wild_inertial_sample_does_not_stop_the_vote(tmp_path):
     assert Consensus().apply(sequence).observations == sequence.observations
 
 
-@pytest.mark.parametrize(("name", "stale", "columns"), [("03.npz", 153, 5105), ("0027.npz", 91, 3950)])
-def test_recorded_files_have_the_stale_frames_that_are_known(name, stale, columns):
-    sequence = StaleTracks().apply(load_course_npz(recorded(name)))
+@pytest.mark.parametrize(("name", "duplicated", "columns"), [("03.npz", 153, 5105), ("0027.npz", 91, 3950)])
+def test_recorded_files_have_the_duplicated_frames_that_are_known(name, duplicated, columns):
+    sequence = DuplicatedTracks().apply(load_course_npz(recorded(name)))
     assert sequence.counts["feature_columns"] == columns
-    assert sequence.counts["stale_frames"] == stale
+    assert sequence.counts["duplicated_frames"] == duplicated
 
 
 def test_repairs_bring_back_what_the_simulation_spoilt():
@@ -159,11 +159,11 @@ def test_repairs_bring_back_what_the_simulation_spoilt():
         extrinsic=Extrinsic(rotation="stored"),
         baseline=Baseline(metres=0.59418),
         disparity_offset=DisparityOffset(pixels=0.4),
-        stale_tracks=None,
+        duplicated_tracks=None,
         disparity=None,
         consensus=None,
         interruptions=None,
-        single_sightings=None,
+        single_observations=None,
     )
     repaired = apply(spoilt, steps)
     assert not np.allclose(spoilt.rig.imu_T_cam, right.rig.imu_T_cam)
@@ -180,10 +180,10 @@ def test_repairs_bring_back_what_the_simulation_spoilt():
 
 def test_each_step_counts_what_it_did():
     sequence, _ = simulate(
-        SimulationConfig(frames=60, stale_probability=0.2, outlier_probability=0.05), seed=2, name="s"
+        SimulationConfig(frames=60, duplication_probability=0.2, outlier_probability=0.05), seed=2, name="s"
     )
     done = {step.name: step for step in apply(sequence, RepairConfig()).repairs}
-    assert done["stale_tracks"].counts["stale_cuts"] > 50
+    assert done["duplicated_tracks"].counts["duplicated_cuts"] > 50
     assert done["disparity"].options == {"minimum_px": 2.5, "row_difference_px": 2.0}
     assert done["disparity"].counts["dropped_row_difference"] > 50
     assert not done["axes"].applied
@@ -191,7 +191,7 @@ def test_each_step_counts_what_it_did():
 
 
 def test_thinning_keeps_whole_tracks_one_in_so_many_after_the_other_steps():
-    sequence, _ = simulate(SimulationConfig(frames=60, stale_probability=0.2), seed=2, name="s")
+    sequence, _ = simulate(SimulationConfig(frames=60, duplication_probability=0.2), seed=2, name="s")
     whole = apply(sequence, RepairConfig())
     thin = apply(sequence, RepairConfig(thinning=Thinning(every=5)))
     kept = whole.track % 5 == 0
@@ -206,7 +206,9 @@ def test_thinning_keeps_whole_tracks_one_in_so_many_after_the_other_steps():
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_held_out_tracks_have_no_say_in_the_repairs_of_the_others(share):
-    faults = SimulationConfig(frames=40, stale_probability=0.1, outlier_probability=0.02, moving_share=0.1)
+    faults = SimulationConfig(
+        frames=40, duplication_probability=0.1, outlier_probability=0.02, moving_share=0.1
+    )
     data = DataConfig(simulation=faults)
     bare = replace(data, repair=RepairConfig(**dict.fromkeys(RepairConfig.__dataclass_fields__)))
     raw = open_dataset(bare, seed=5).sequence

@@ -96,6 +96,14 @@ def test_what_cannot_be_is_told_in_one_line(tmp_path, changes, told):
     assert str(path) in str(raised.value)
 
 
+def test_the_former_key_of_the_vertical_velocity_is_read(tmp_path):
+    former = tracks_file(tmp_path / "a.npz", climb_rate=np.arange(6.0))
+    assert np.array_equal(load_tracks_npz(former).sequence.vertical_velocity, np.arange(6.0))
+    both = tracks_file(tmp_path / "b.npz", climb_rate=np.zeros(6), vertical_velocity=np.zeros(6))
+    with pytest.raises(DataError, match="'climb_rate' is the former name of 'vertical_velocity'"):
+        load_tracks_npz(both)
+
+
 def test_rows_may_stand_in_any_order_and_ids_may_be_large(tmp_path, rng):
     plain = load_tracks_npz(tracks_file(tmp_path / "a.npz")).sequence
     with np.load(tmp_path / "a.npz") as file:

@@ -112,7 +112,7 @@ def test_the_gate_refuses_the_share_that_it_is_set_to(short_config: Config, prob
     config = replace(
         short_config,
         data=DataConfig(simulation=planted, repair=unrepaired),
-        noise=replace(short_config.noise, pixel_sigma_px=0.3, drift_px=0.0, match_px=0.0),
+        noise=replace(short_config.noise, pixel_sigma_px=0.3, drift_px=0.0, matching_bias_px=0.0),
         gate_probability=probability,
     )
     dataset = open_dataset(config.data, seed=2)
@@ -146,7 +146,7 @@ def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
 
 
 def test_without_drift_and_match_error_both_ways_of_taking_them_are_one(short: Dataset, short_config: Config):
-    plain = replace(short_config, noise=replace(short_config.noise, drift_px=0.0, match_px=0.0))
+    plain = replace(short_config, noise=replace(short_config.noise, drift_px=0.0, matching_bias_px=0.0))
     problem, sigma = make_problem(plain, short), pixel_sigma(plain, short)
     runs = [
         run(EkfEstimator(problem, EkfOptions(track_errors=how)), short.sequence, sigma, name=how)

@@ -8,7 +8,7 @@ import pytest
 from gtsam.symbol_shorthand import B, X
 
 from tests.smoother.drives import RIG, drive, filtered, gap, member
-from vislam.core.estimator import ClimbNoise, Problem
+from vislam.core.estimator import Problem, VerticalVelocityNoise
 from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.motion import OdometryMotion, SmoothMotion
@@ -30,7 +30,7 @@ def built(kind):
         track_noise=TrackNoise(0.3, 0.0, 0.0),
         gate_probability=0.99,
         clock_sigma=0.01,
-        climb=ClimbNoise(walk=0.1, tilt_sigma=0.05),
+        vertical_velocity=VerticalVelocityNoise(walk=0.1, tilt_sigma=0.05),
     )
     motion = kind(problem)
     return motion, NavLayout({name: len(block.mean) for name, block in motion.blocks().items()})

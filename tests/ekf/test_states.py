@@ -9,7 +9,7 @@ from tests.conftest import from_first
 from tests.records import made_record
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ClimbConfig, Config, DataConfig, KernelConfig
+from vislam.comparison.config import Config, DataConfig, KernelConfig, VerticalVelocityConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.estimator import find
 from vislam.core.run import Run
@@ -70,9 +70,9 @@ def test_a_disparity_offset_is_found(short_config: Config):
     config, dataset = drive(
         short_config,
         seed=6,
-        noise={"disparity_offset_sigma_px": 1.0, "match_px": 0.0},
+        noise={"disparity_offset_sigma_px": 1.0, "matching_bias_px": 0.0},
         disparity_offset_px=-0.4,
-        match_px=0.0,
+        matching_bias_px=0.0,
     )
     _, estimator = filtered(config, dataset)
     state = estimator.state
@@ -94,18 +94,18 @@ def test_a_state_with_no_prior_spread_stays_what_it_is(short_config: Config):
 
 
 def climbing(
-    short_config: Config, *, climb: ClimbConfig | None, **options
+    short_config: Config, *, vertical_velocity: VerticalVelocityConfig | None, **options
 ) -> tuple[Run, Dataset, EkfEstimator]:
     """A hilly drive with a levelled velocity, whose gyro's roll and pitch are poor."""
-    repair = RepairConfig(consensus=None, levelled_velocity=True)
+    repair = RepairConfig(consensus=None, navigation_frame_velocity=True)
     density = (0.01, 0.01, *short_config.noise.twist_density[2:])
     config, dataset = drive(
         short_config,
         seed=8,
-        noise={"climb": climb, "twist_density": density},
+        noise={"vertical_velocity": vertical_velocity, "twist_density": density},
         repair=repair,
         hills_m=10.0,
-        levelled_velocity=True,
+        navigation_frame_velocity=True,
         gyro_sigma=0.01,
     )
     found, estimator = filtered(config, dataset, **options)
@@ -117,9 +117,11 @@ def climbing(
     [{}, {"error": "standard", "landmarks": "point", "track_errors": "states"}],
     ids=["invariant", "ekf"],
 )
-def test_the_climb_rate_holds_the_height(short_config: Config, options):
-    with_climb, dataset, estimator = climbing(short_config, climb=ClimbConfig(), **options)
-    without, _, _ = climbing(short_config, climb=None, **options)
+def test_the_vertical_velocity_holds_the_height(short_config: Config, options):
+    with_climb, dataset, estimator = climbing(
+        short_config, vertical_velocity=VerticalVelocityConfig(), **options
+    )
+    without, _, _ = climbing(short_config, vertical_velocity=None, **options)
     height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
     found = with_climb.levelled().final.world_T_imu[:, 2, 3]
     assert np.abs(found - height).max() < 0.3
@@ -133,9 +135,11 @@ def test_the_climb_rate_holds_the_height(short_config: Config, options):
     assert np.isclose(metrics.value("ekf", "height_end"), found[-1])
 
 
-def test_the_climb_rate_needs_to_be_there(short: Dataset, short_config: Config):
-    config = replace(short_config, noise=replace(short_config.noise, climb=ClimbConfig()))
-    with pytest.raises(ConfigError, match=r"noise\.climb: simulation has no vertical velocity"):
+def test_the_vertical_velocity_needs_to_be_there(short: Dataset, short_config: Config):
+    config = replace(
+        short_config, noise=replace(short_config.noise, vertical_velocity=VerticalVelocityConfig())
+    )
+    with pytest.raises(ConfigError, match=r"noise\.vertical_velocity: simulation has no vertical velocity"):
         make_problem(config, short)
 
 
@@ -237,17 +241,21 @@ def test_frames_without_tracks_are_bridged(short_config: Config, member, first):
 
 
 def test_pose_and_climbed_height_meet_where_their_variances_say(short_config: Config):
-    """The height of the pose is that which the climb rate has led to: each gives way by its share."""
+    """The height of the pose is that which the vertical velocity has led to: each gives way by its share."""
     config, dataset = drive(
-        short_config, seed=1, frames=5, noise={"climb": ClimbConfig(walk=0.1)}, levelled_velocity=True
+        short_config,
+        seed=1,
+        frames=5,
+        noise={"vertical_velocity": VerticalVelocityConfig(walk=0.1)},
+        navigation_frame_velocity=True,
     )
-    rates = replace(dataset.sequence, climb_rate=np.zeros(len(dataset.sequence.climb_rate)))
+    rates = replace(dataset.sequence, vertical_velocity=np.zeros(len(dataset.sequence.vertical_velocity)))
     estimator = EkfEstimator(make_problem(config, replace(dataset, sequence=rates)), EkfOptions())
     state = estimator.state
-    climb = state.layout["climb"].start
-    state.world_T_imu[2, 3], state.nav[climb] = 1.0, 0.0
+    height = state.layout["height"].start
+    state.world_T_imu[2, 3], state.nav[height] = 1.0, 0.0
     state.cov[:] = np.diag(np.full(len(state.cov), 1e-12))
-    state.cov[5, 5], state.cov[climb, climb] = 3.0, 1.0
+    state.cov[5, 5], state.cov[height, height] = 3.0, 1.0
     estimator._measure(state, next(iter(dataset.sequence.frames(pixel_sigma(config, dataset)))))
     assert state.world_T_imu[2, 3] == pytest.approx(0.25, abs=1e-3)
-    assert state.nav[climb] == pytest.approx(0.25, abs=1e-3)
+    assert state.nav[height] == pytest.approx(0.25, abs=1e-3)

@@ -104,8 +104,8 @@ def test_the_headline_configs_pose_one_problem_to_all(name):
 
 
 def _without_climb(config: Config) -> Config:
-    """The short drive has no climb rate."""
-    return replace(config, noise=replace(config.noise, climb=None))
+    """The short drive has no vertical velocity."""
+    return replace(config, noise=replace(config.noise, vertical_velocity=None))
 
 
 def test_members_of_the_families_say_what_they_assume(short, short_config):

@@ -21,7 +21,7 @@ WITHIN = 1.2
 def sequence_of(**settings):
     config = DataConfig(
         simulation=SimulationConfig(frames=80, tracks_in_view=40, **settings),
-        repair=RepairConfig(consensus=None, single_sightings=None),
+        repair=RepairConfig(consensus=None, single_observations=None),
     )
     return open_dataset(config, seed=4).sequence
 

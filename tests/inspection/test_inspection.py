@@ -25,7 +25,7 @@ CLEAN = SimulationConfig(
     tracks_in_view=60,
     pixel_sigma_px=0.15,
     drift_px=0.15,
-    match_px=0.4,
+    matching_bias_px=0.4,
     gyro_bias=(0.004, -0.003, 0.005),
     gyro_sigma=0.003,
     velocity_sigma=0.03,
@@ -37,9 +37,9 @@ TRAPS = {
         "axes and extrinsic",
         {"extrinsic_rotation": "inverse", "extrinsic_translation": "inverse"},
     ),
-    "stale tracks": ("stale tracks", {"stale_probability": 0.1}),
+    "duplicated tracks": ("duplicated tracks", {"duplication_probability": 0.1}),
     "clock": ("clock", {"clock_offset": 0.08}),
-    "levelled velocity": ("third velocity component", {"levelled_velocity": True, "hills_m": 15.0}),
+    "levelled velocity": ("third velocity component", {"navigation_frame_velocity": True, "hills_m": 15.0}),
     "baseline": ("stereo scale", {"stated_baseline": 0.62}),
     "disparity offset": ("disparity offset", {"disparity_offset_px": -0.5}),
     "moving objects": ("moving objects", {"moving_share": 0.2}),
@@ -47,10 +47,10 @@ TRAPS = {
     "gyro noise": ("inertial noise", {"gyro_sigma": 0.1}),
     "negative disparities": ("observations", {"outlier_probability": 0.02}),
 }
-QUICK = ("axes", "stale tracks")
+QUICK = ("axes", "duplicated tracks")
 """Tried in the fast suite; the others in the slow one."""
 SWITCHED_OFF = {
-    "stale tracks": "stale_tracks",
+    "duplicated tracks": "duplicated_tracks",
     "moving objects": "consensus",
     "negative disparities": "disparity",
 }
@@ -93,7 +93,7 @@ def test_what_is_proposed_answers_what_was_found():
         frames=250,
         extrinsic_axes=("x", "-y", "-z"),
         clock_offset=0.07,
-        stale_probability=0.1,
+        duplication_probability=0.1,
         disparity_offset_px=-0.5,
     )
     first = inspected(spoilt, seed=4)
@@ -156,7 +156,7 @@ def test_rates_of_false_alarms_and_of_misses():
             "03.npz",
             {
                 "observations",
-                "stale tracks",
+                "duplicated tracks",
                 "clock",
                 "axes and extrinsic",
                 "third velocity component",
@@ -165,13 +165,13 @@ def test_rates_of_false_alarms_and_of_misses():
             },
         ),
         # The extrinsic is mixed: its translation is that of the inverse, which the turns show.
-        ("0027.npz", {"observations", "stale tracks", "clock", "lever arm", "moving objects"}),
+        ("0027.npz", {"observations", "duplicated tracks", "clock", "lever arm", "moving objects"}),
     ],
 )
 @pytest.mark.slow
 def test_recorded_traps_are_found_with_nothing_configured(name, faults):
     raw = load_course_npz(recorded(name))
-    nothing = RepairConfig(stale_tracks=None, disparity=None, consensus=None)
+    nothing = RepairConfig(duplicated_tracks=None, disparity=None, consensus=None)
     density = (2e-3,) * 3 + (5e-3, 0.02, 0.02) if name == "03.npz" else (0.016,) * 3 + (0.16,) * 3
     config = Config(
         name="bare",
@@ -180,7 +180,7 @@ def test_recorded_traps_are_found_with_nothing_configured(name, faults):
     )
     result = inspect_sequence(raw, config)
     assert {item.check for item in result.findings if item.verdict == "fault"} == faults
-    assert len(result.series["stale_frames"]) == {"03.npz": 153, "0027.npz": 91}[name]
+    assert len(result.series["duplicated_frames"]) == {"03.npz": 153, "0027.npz": 91}[name]
     assert_the_rest_is_right(name, result)
 
 
@@ -193,15 +193,15 @@ def assert_the_rest_is_right(name, result):
     if name == "03.npz":
         assert np.allclose(gyro, -0.010, atol=0.003)
         assert result.proposal["data.repair.axes"] == {"body": ["x", "-y", "-z"]}
-        assert 0.5 < noise["noise.match_px"] < 0.9
+        assert 0.5 < noise["noise.matching_bias_px"] < 0.9
         return
     assert np.allclose(gyro, 0.0045, atol=0.003)
     # The rotation is told from its mirror image to a degree only, the third component is mostly noise.
     assert result.finding("axes and extrinsic").verdict == "unclear"
     assert result.proposal["data.repair.extrinsic"] == {"rotation": "stored", "translation": "inverse"}
     assert result.finding("third velocity component").verdict == "unclear"
-    assert noise["data.repair.levelled_velocity"] is True
-    assert 0.7 < noise["noise.match_px"] < 0.95
+    assert noise["data.repair.navigation_frame_velocity"] is True
+    assert 0.7 < noise["noise.matching_bias_px"] < 0.95
     assert not np.any(noise["noise.bias_mean"][3:])
 
 
@@ -211,7 +211,7 @@ def test_another_front_end_has_no_fault_of_axes_or_stale_frames(name, tmp_path):
     raw = load_course_npz(converted(f"2011_09_26_drive_{name}_sync_KLT", tmp_path))
     result = inspect_sequence(raw, Config(name="bare", data=DataConfig(file="kitti.npz")))
     verdicts = {item.check: item.verdict for item in result.findings}
-    assert verdicts["stale tracks"] == verdicts["units"] == "ok"
+    assert verdicts["duplicated tracks"] == verdicts["units"] == "ok"
     assert verdicts["axes and extrinsic"] == "unclear"
     assert verdicts["clock"] == "fault"
     assert abs(result.finding("clock").measured[0].value - 0.0525) < 0.012

@@ -17,7 +17,7 @@ from vislam.inspection.stereo import check_match
 from vislam.repair import RepairConfig
 from vislam.repair.mounting import Extrinsic
 from vislam.repair.pixels import Disparity
-from vislam.repair.tracks import SingleSightings
+from vislam.repair.tracks import SingleObservations
 from vislam.simulation import SimulationConfig, simulate
 
 
@@ -32,7 +32,7 @@ def long_drive(*, seed=1, **changes):
         **changes,
     }
     sequence = simulate(SimulationConfig(**settings), seed=seed, name="s")[0]
-    return SingleSightings().apply(Disparity().apply(sequence))
+    return SingleObservations().apply(Disparity().apply(sequence))
 
 
 def fits_of(sequence):
@@ -56,7 +56,7 @@ def inspected(sequence, *, repair=None, noise=None):
     ],
 )
 def test_white_noise_is_measured(white, drift):
-    sequence = long_drive(pixel_sigma_px=white, drift_px=drift, match_px=0.4)
+    sequence = long_drive(pixel_sigma_px=white, drift_px=drift, matching_bias_px=0.4)
     finding, _ = check_pixel_noise(sequence, fits_of(sequence), pixel_sigma_px=1.0, drift_px=0.0)
     measured = finding.measured[0]
     assert abs(measured.value - white) < max(0.15 * white, 4.0 * measured.sigma)
@@ -75,14 +75,14 @@ def test_a_pure_drift_is_not_taken_for_white_noise():
 
 @pytest.mark.parametrize("match", [0.4, pytest.param(0.8, marks=pytest.mark.statistical)])
 def test_the_matching_bias_is_measured(match):
-    sequence = long_drive(match_px=match, frames=250)
-    finding = check_match(sequence, fits_of(sequence), match_px=0.0)
-    assert finding.settings["noise.match_px"] == pytest.approx(match, rel=0.25)
+    sequence = long_drive(matching_bias_px=match, frames=250)
+    finding = check_match(sequence, fits_of(sequence), matching_bias_px=0.0)
+    assert finding.settings["noise.matching_bias_px"] == pytest.approx(match, rel=0.25)
 
 
 def test_no_matching_bias_is_none():
-    sequence = long_drive(match_px=0.0)
-    finding = check_match(sequence, fits_of(sequence), match_px=0.3)
+    sequence = long_drive(matching_bias_px=0.0)
+    finding = check_match(sequence, fits_of(sequence), matching_bias_px=0.3)
     measured = finding.measured[0]
     assert measured.low <= 0.0 or measured.value < 0.1
 
@@ -139,12 +139,12 @@ def test_a_camera_at_rest_does_not_tell_the_mounting():
 
 @pytest.mark.parametrize("rig", ["car", "hand-held"])
 def test_the_mounting_of_any_rig_is_told(rig):
-    sequence = SingleSightings().apply(drive(rig, frames=80))
+    sequence = SingleObservations().apply(drive(rig, frames=80))
     finding, _, _ = check_mounting(sequence, RepairConfig())
     assert finding.counts["best_px"] < 3.0
 
 
-# A bias of the third component goes with it where that is read as the climb rate.
+# A bias of the third component goes with it where that is read as the vertical velocity.
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_velocity_bias_beyond_the_prior_is_a_fault(axis):
@@ -168,8 +168,8 @@ def test_a_camera_scale_is_no_velocity_bias():
 
 @pytest.mark.slow
 def test_what_is_measured_is_what_a_config_gets():
-    result = inspected(long_drive(frames=250, match_px=0.5, gyro_bias=(0.01, -0.008, 0.012)))
-    assert {"noise.pixel_sigma_px", "noise.drift_px", "noise.match_px"} <= set(result.settings)
+    result = inspected(long_drive(frames=250, matching_bias_px=0.5, gyro_bias=(0.01, -0.008, 0.012)))
+    assert {"noise.pixel_sigma_px", "noise.drift_px", "noise.matching_bias_px"} <= set(result.settings)
     merged = {**result.settings, **result.proposal}
     assert len(merged["noise.twist_density"]) == 6
     assert all(value > 0 for value in merged["noise.twist_density"])
@@ -179,15 +179,15 @@ def test_what_is_measured_is_what_a_config_gets():
 
 @pytest.mark.parametrize("tracks", [1.0, 4.0])
 def test_few_tracks_are_the_headline_and_the_rest_is_unknown(tracks):
-    settings = SimulationConfig(frames=60, tracks_in_view=tracks, levelled_velocity=True)
+    settings = SimulationConfig(frames=60, tracks_in_view=tracks, navigation_frame_velocity=True)
     result = inspected(simulate(settings, seed=2, name="s")[0])
     assert result.findings[0].check == "tracks"
     assert result.findings[0].verdict in ("fault", "unclear")
     assert result.findings[0].text.startswith("few tracks")
-    assert {"data.repair.axes", "data.repair.clock", "noise.bias_sigma", "noise.match_px"} <= set(
+    assert {"data.repair.axes", "data.repair.clock", "noise.bias_sigma", "noise.matching_bias_px"} <= set(
         result.unknown
     )
-    assert result.settings["data.repair.levelled_velocity"] is True
+    assert result.settings["data.repair.navigation_frame_velocity"] is True
 
 
 def test_a_third_component_as_large_as_the_speed_is_left_alone():
@@ -196,5 +196,5 @@ def test_a_third_component_as_large_as_the_speed_is_left_alone():
     twist = sequence.twist.copy()
     twist[:, 5] = twist[:, 3] * np.sin(sequence.inertial_stamp)
     result = inspected(replace(sequence, twist=twist))
-    assert "data.repair.levelled_velocity" not in result.settings
-    assert "data.repair.levelled_velocity" in result.unknown
+    assert "data.repair.navigation_frame_velocity" not in result.settings
+    assert "data.repair.navigation_frame_velocity" in result.unknown

@@ -14,7 +14,7 @@ from vislam.inspection import inspect_sequence
 from vislam.inspection.observations import check_observations
 from vislam.repair import RepairConfig
 
-NOTHING = RepairConfig(stale_tracks=None, disparity=None, consensus=None)
+NOTHING = RepairConfig(duplicated_tracks=None, disparity=None, consensus=None)
 SEQUENCE = drive(frames=30)
 
 

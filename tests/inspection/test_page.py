@@ -12,12 +12,12 @@ from vislam.inspection.page import headline, write_inspection
 LATE = Measured("late", "s", 0.05, 0.04, np.inf)
 FINDINGS = (
     Finding("clock", "fault", EVIL, (LATE,), proposal={"data.repair.clock": {"offset": 0.05}}),
-    Finding("stale tracks", "ok", "none", counts={"stale_frames": 3}),
+    Finding("duplicated tracks", "ok", "none", counts={"duplicated_frames": 3}),
     Finding("biases", "unclear", "too short", unknown={"noise.bias_mean": EVIL}),
 )
 SERIES = {
     "tracks_in_view": np.arange(9.0),
-    "stale_frames": np.array([3]),
+    "duplicated_frames": np.array([3]),
     "track_length": np.array([1, 5, 7]),
     "clock_lag": np.linspace(-0.1, 0.1, 5),
     "clock_cost": np.ones(5),
@@ -51,5 +51,5 @@ def test_each_check_is_beside_its_evidence_and_its_answer(text):
     assert text.count('href="#figure-checks"') == 1
     assert "<td>0.05</td><td>0.04</td><td>inf</td><td>s</td>" in text
     assert "data.repair.clock" in text
-    assert "stale frames" in text
+    assert "duplicated frames" in text
     assert "SIMULATED" in text

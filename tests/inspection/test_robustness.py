@@ -18,7 +18,7 @@ from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig, simulate
 
 VERDICTS = {"ok", "fault", "unclear", "note"}
-TREE = {"name": "s", "data": {"file": "s.npz", "repair": {"stale_tracks": False, "disparity": False}}}
+TREE = {"name": "s", "data": {"file": "s.npz", "repair": {"duplicated_tracks": False, "disparity": False}}}
 
 
 def no_tracks(sequence):
@@ -109,7 +109,7 @@ FAULTS = (
 
 def look_at(sequence, folder):
     """All that the command makes of a sequence; the config that it writes is one that parses."""
-    nothing = RepairConfig(stale_tracks=None, disparity=None)
+    nothing = RepairConfig(duplicated_tracks=None, disparity=None)
     config = Config(name="s", data=DataConfig(file="s.npz", repair=nothing))
     result = inspect_sequence(sequence, config)
     assert {finding.verdict for finding in result.findings} <= VERDICTS

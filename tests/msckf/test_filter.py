@@ -10,7 +10,7 @@ from tests.smoother.drives import ate, drive, gap, member
 from vislam import load_config
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ClimbConfig
+from vislam.comparison.config import VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.core.estimator import find
 from vislam.core.frame import Frame
@@ -108,7 +108,7 @@ def test_a_longer_window_is_nearer_to_the_batch():
 
 
 BLOCKS = {
-    "climb": {"climb": ClimbConfig()},
+    "vertical velocity": {"vertical_velocity": VerticalVelocityConfig()},
     "smooth motion": {"acceleration_density": (0.1, 0.1, 0.1, 1.0, 1.0, 1.0)},
     "clock": {"clock_sigma": 0.02},
     "direction": {"velocity_direction_sigma": 0.01},
@@ -120,7 +120,7 @@ BLOCKS = {
 def test_every_block_of_the_state_is_that_of_the_ekf(block, short, short_config):
     """With all poses kept it is as sure of the last pose as the EKF is, and agrees with it."""
     config = replace(short_config, noise=replace(short_config.noise, **BLOCKS[block]))
-    level = replace(short.sequence, climb_rate=np.zeros(len(short.sequence.climb_rate)))
+    level = replace(short.sequence, vertical_velocity=np.zeros(len(short.sequence.vertical_velocity)))
     dataset = replace(short, sequence=level)
     ekf = find("eks")(make_problem(config, dataset), {"gate": False})
     other = run(ekf, level, pixel_sigma(config, dataset), name="eks").smoothed

@@ -88,7 +88,7 @@ def test_lags_and_bound_are_kept_with_the_results(found, tmp_path):
         ("data.simulation.velocity_bias_walk", 0.1),
         ("data.simulation.gyro_bias", [0.01, 0.0, 0.0]),
         ("noise.acceleration_density", [0.1, 0.1, 0.1, 1.0, 1.0, 1.0]),
-        ("noise.climb", {}),
+        ("noise.vertical_velocity", {}),
         ("data.file", "03.npz"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from vislam.geometry import se3
-from vislam.repair.tracks import stale_observations
+from vislam.repair.tracks import duplicated_observations
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.drive import stereo_rig
 from vislam.simulation.field import landmark_field
@@ -113,7 +113,7 @@ def test_an_empty_field_gives_no_more_tracks_than_it_has_points():
     assert 0 < np.diff(sequence.offset).max() < 30
 
 
-def test_a_landmark_that_a_track_has_left_in_a_stale_frame_can_be_found_again():
+def test_a_landmark_that_a_track_has_left_in_a_duplicated_frame_can_be_found_again():
     # At a walking pace with more tracks wanted than there are landmarks, all are taken from the start.
     few = replace(
         DRIVE,
@@ -126,14 +126,14 @@ def test_a_landmark_that_a_track_has_left_in_a_stale_frame_can_be_found_again():
         tracks_in_view=5000,
     )
     for probability in (0.0, 0.2):
-        sequence, _ = simulated(replace(few, stale_probability=probability))
-        stale, _ = stale_observations(sequence)
+        sequence, _ = simulated(replace(few, duplication_probability=probability))
+        duplicated, _ = duplicated_observations(sequence)
         _, first = np.unique(sequence.track, return_index=True)
         born = np.bincount(sequence.frame_of[first], minlength=60)
         assert born[0] > 20
         many = born > 0.8 * born[0]
-        assert (stale.sum() > 5) == (probability > 0.0)
-        assert np.array_equal(np.flatnonzero(many), [0, *np.flatnonzero(stale)])
+        assert (duplicated.sum() > 5) == (probability > 0.0)
+        assert np.array_equal(np.flatnonzero(many), [0, *np.flatnonzero(duplicated)])
 
 
 def test_equal_seeds_give_equal_drives_and_others_do_not():

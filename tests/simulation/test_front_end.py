@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vislam.geometry import se3
-from vislam.repair.tracks import stale_observations
+from vislam.repair.tracks import duplicated_observations
 from vislam.simulation import SimulationConfig, simulate
 from vislam.simulation.drive import stereo_rig
 from vislam.simulation.field import in_view
@@ -29,28 +29,28 @@ def first_frames(sequence):
     return sequence.frame_of[first]
 
 
-def test_tracks_are_born_in_stale_frames_only_and_these_follow_frames_of_few():
+def test_tracks_are_born_in_duplicated_frames_only_and_these_follow_frames_of_few():
     # With so wide a spread, some bursts bring too few.
     sequence, _ = simulated(replace(BURSTS, tracks_spread=0.5))
-    stale, _ = stale_observations(sequence)
+    duplicated, _ = duplicated_observations(sequence)
     before = np.diff(sequence.offset)[:-1]
-    assert np.any(stale[:-1] & (np.diff(sequence.offset)[:-1] < 40))
-    assert set(first_frames(sequence)) <= {0, *np.flatnonzero(stale)}
-    assert before[stale[1:]].max() < 40
-    # All frames of few are followed by a stale one, but for those that are stale themselves.
-    assert np.array_equal(stale[1:], (before < 40) & ~stale[:-1])
+    assert np.any(duplicated[:-1] & (np.diff(sequence.offset)[:-1] < 40))
+    assert set(first_frames(sequence)) <= {0, *np.flatnonzero(duplicated)}
+    assert before[duplicated[1:]].max() < 40
+    # All frames of few are followed by a duplicated one, but for those that are duplicated themselves.
+    assert np.array_equal(duplicated[1:], (before < 40) & ~duplicated[:-1])
 
 
 def test_a_front_end_without_bursts_is_not_taken_for_one_with_them():
-    sequence, _ = simulated(replace(STEADY, stale_probability=0.1))
-    stale, _ = stale_observations(sequence)
-    assert len(set(first_frames(sequence)) - set(np.flatnonzero(stale))) > 100
+    sequence, _ = simulated(replace(STEADY, duplication_probability=0.1))
+    duplicated, _ = duplicated_observations(sequence)
+    assert len(set(first_frames(sequence)) - set(np.flatnonzero(duplicated))) > 100
 
 
 def test_no_track_is_lost_in_the_frame_of_a_burst():
     sequence, _ = simulated(BURSTS)
-    stale, _ = stale_observations(sequence)
-    for k in np.flatnonzero(stale):
+    duplicated, _ = duplicated_observations(sequence)
+    for k in np.flatnonzero(duplicated):
         assert np.isin(ids(sequence, k - 1), ids(sequence, k)).all()
 
 
@@ -58,8 +58,8 @@ def test_no_track_is_lost_in_the_frame_of_a_burst():
 def test_after_a_burst_there_are_as_many_tracks_as_drawn():
     config = replace(BURSTS, frames=2000, tracks_in_view=100, tracks_spread=0.1)
     sequence, _ = simulated(config)
-    stale, _ = stale_observations(sequence)
-    there = np.diff(sequence.offset)[stale]
+    duplicated, _ = duplicated_observations(sequence)
+    there = np.diff(sequence.offset)[duplicated]
     # Five standard deviations of a mean and of a standard deviation; nobody draws less than 40 here.
     assert there.mean() == pytest.approx(100.0, abs=5.0 * 10.0 / np.sqrt(len(there)))
     assert there.std() == pytest.approx(10.0, abs=5.0 * 10.0 / np.sqrt(2.0 * len(there)))
@@ -67,11 +67,11 @@ def test_after_a_burst_there_are_as_many_tracks_as_drawn():
 
 def test_re_detection_waits_for_a_frame_that_is_written():
     sequence, _ = simulated(replace(BURSTS, dropped_probability=0.2))
-    stale, _ = stale_observations(sequence)
+    duplicated, _ = duplicated_observations(sequence)
     empty = np.diff(sequence.offset) == 0
-    assert stale.sum() > 10
-    assert not np.any(stale & empty)
-    assert not np.any(stale[1:] & empty[:-1])
+    assert duplicated.sum() > 10
+    assert not np.any(duplicated & empty)
+    assert not np.any(duplicated[1:] & empty[:-1])
 
 
 def test_when_all_tracks_are_lost_new_ones_are_born():
@@ -133,7 +133,7 @@ def test_without_the_setting_losses_have_nothing_to_do_with_the_flow():
 
 @pytest.mark.statistical
 def test_the_match_errs_by_a_student_share_that_stays_with_the_track():
-    config = replace(STEADY, pixel_sigma_px=0.0, match_share=0.05, loss_probability=0.2)
+    config = replace(STEADY, pixel_sigma_px=0.0, matching_bias_share=0.05, loss_probability=0.2)
     sequence, truth = simulated(config)
     rig = stereo_rig(config)
     cam_T_world = se3.inverse(truth.world_T_imu @ rig.imu_T_cam)

@@ -64,8 +64,8 @@ def test_steps_are_late_with_the_clock_and_right_again_once_it_is_repaired():
     assert repaired.step_means()[0] == pytest.approx(on_time.step_means()[0], abs=1e-9)
 
 
-def test_the_third_velocity_of_steps_can_be_the_climb_rate():
-    config = replace(QUIET, frames=50, levelled_velocity=True)
+def test_the_third_velocity_of_steps_can_be_the_vertical():
+    config = replace(QUIET, frames=50, navigation_frame_velocity=True)
     sequence, truth = simulate(config, seed=5, name="s")
     climbed = np.diff(truth.world_T_imu[:, 2, 3]) / np.diff(sequence.stamp)
     assert sequence.step_means()[0][1:, 5] == pytest.approx(climbed + truth.bias[5], abs=1e-6)

@@ -14,12 +14,12 @@ DRIVE = SimulationConfig(frames=1010, speed=9.0)
 PATHS = ("town", "straight", "loop", "urban", "figure_eight", "highway", "helix")
 FAULTY = {
     "inertial_noise": "step",
-    "stale_probability": 0.1,
+    "duplication_probability": 0.1,
     "moving_share": 0.1,
     "drift_px": 0.2,
-    "match_px": 0.3,
+    "matching_bias_px": 0.3,
     "outlier_probability": 0.02,
-    "levelled_velocity": True,
+    "navigation_frame_velocity": True,
     "clock_offset": 0.03,
 }
 # Of everything that a simulation gives, to 1e-4, written down before other paths and settings came.
@@ -169,7 +169,7 @@ def test_a_helix_climbs_by_six_percent_and_comes_round_three_times():
     heading = np.unwrap(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))
     assert (heading[-1] - heading[0]) / (2.0 * np.pi) == pytest.approx(3.0, rel=1e-3)
     assert (pose[-1, 2, 3] - pose[0, 2, 3]) / driven.sum() == pytest.approx(0.06, rel=1e-3)
-    assert path.climb_rate(time) == pytest.approx(0.06 * DRIVE.speed, rel=1e-6)
+    assert path.vertical_velocity(time) == pytest.approx(0.06 * DRIVE.speed, rel=1e-6)
     third = len(time) // 3
     assert np.linalg.norm(rear[third] - rear[0]) < 0.5
 

@@ -87,7 +87,7 @@ def test_the_twist_integrates_to_the_pose_and_is_continuous(rng):
     # Within 10 ms; the jitter makes for most of it, above all at the ends.
     assert np.abs(np.diff(path.twist(time), axis=0)).max() < 0.2
     climbed = np.diff(path.pose(time)[:, 2, 3])
-    assert path.climb_rate(time[:-1] + half) * 2.0 * half == pytest.approx(climbed, abs=1e-5)
+    assert path.vertical_velocity(time[:-1] + half) * 2.0 * half == pytest.approx(climbed, abs=1e-5)
 
 
 def test_jitter_is_left_out(rng):

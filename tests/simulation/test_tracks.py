@@ -13,7 +13,7 @@ from vislam.core import estimator
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators import loop
 from vislam.evaluation.normalised import bias_errors
-from vislam.repair.tracks import stale_observations
+from vislam.repair.tracks import duplicated_observations
 from vislam.simulation import SimulationConfig, simulate
 
 DRIVE = SimulationConfig(frames=400, tracks_in_view=20, gyro_bias=(0.004, -0.003, 0.005))
@@ -77,13 +77,13 @@ def test_tracks_go_on_behind_a_dropped_frame():
     assert np.array_equal(truth.points_world, truth.points_world[first][back])
 
 
-def test_no_frame_is_stale_where_the_one_before_was_not_written():
-    sequence, _ = simulated(replace(DRIVE, dropped_probability=0.3, stale_probability=0.5))
-    stale, _ = stale_observations(sequence)
+def test_no_frame_is_duplicated_where_the_one_before_was_not_written():
+    sequence, _ = simulated(replace(DRIVE, dropped_probability=0.3, duplication_probability=0.5))
+    duplicated, _ = duplicated_observations(sequence)
     empty = np.diff(sequence.offset) == 0
-    assert stale.sum() > 50
-    assert not np.any(stale & empty)
-    assert not np.any(stale[1:] & empty[:-1])
+    assert duplicated.sum() > 50
+    assert not np.any(duplicated & empty)
+    assert not np.any(duplicated[1:] & empty[:-1])
 
 
 @pytest.mark.parametrize("name", ["ekf", "isam2"])

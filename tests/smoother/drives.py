@@ -67,7 +67,9 @@ def exact(*, seed: int, **settings: Any):
     sequence, pose = dataset.sequence, dataset.reference.pose
     steps = se3.local(pose[:-1], pose[1:]) / np.diff(sequence.stamp)[:, None]
     stamp, twist = piecewise_constant(sequence.stamp, steps)
-    sequence = replace(sequence, inertial_stamp=stamp, twist=twist, climb_rate=np.full(len(stamp), np.nan))
+    sequence = replace(
+        sequence, inertial_stamp=stamp, twist=twist, vertical_velocity=np.full(len(stamp), np.nan)
+    )
     return config, replace(dataset, sequence=sequence)
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.smoother.drives import BUILD, ate, drive, gap, member
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem
-from vislam.comparison.config import ClimbConfig
+from vislam.comparison.config import VerticalVelocityConfig
 from vislam.core.estimator import find
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators.smoother.keys import H, X
@@ -25,14 +25,14 @@ def simulated():
 
 def with_noise(simulated, **noise):
     config, dataset = simulated
-    level = np.zeros_like(dataset.sequence.climb_rate)
-    dataset = replace(dataset, sequence=replace(dataset.sequence, climb_rate=level))
+    level = np.zeros_like(dataset.sequence.vertical_velocity)
+    dataset = replace(dataset, sequence=replace(dataset.sequence, vertical_velocity=level))
     return replace(config, noise=replace(config.noise, **noise)), dataset
 
 
-@pytest.mark.parametrize("climb", [None, ClimbConfig()])
+@pytest.mark.parametrize("climb", [None, VerticalVelocityConfig()])
 def test_it_is_the_form_with_the_bias_where_the_bias_is_known(simulated, climb):
-    config, dataset = with_noise(simulated, **KNOWN, climb=climb)
+    config, dataset = with_noise(simulated, **KNOWN, vertical_velocity=climb)
     between = member("batch", config, dataset, motion="between")
     # Variables that are known to 1e-9 beside others need QR.
     bias = member("batch", config, dataset, factorization="qr")
@@ -43,12 +43,12 @@ def test_it_is_the_form_with_the_bias_where_the_bias_is_known(simulated, climb):
     angle, distance = gap(between.final.world_T_imu, bias.final.world_T_imu)
     assert angle < 1e-8
     assert distance < 1e-6
-    zero = member("batch", *with_noise(simulated, climb=climb), motion="between")
+    zero = member("batch", *with_noise(simulated, vertical_velocity=climb), motion="between")
     assert gap(between.final.world_T_imu, zero.final.world_T_imu)[0] > 1e-4
 
 
 def test_there_is_a_between_factor_a_step_and_no_variable_but_poses_heights_and_landmarks(simulated):
-    config, dataset = with_noise(simulated, climb=ClimbConfig())
+    config, dataset = with_noise(simulated, vertical_velocity=VerticalVelocityConfig())
     estimator = BUILD["isam2_between"](make_problem(config, dataset), {})
     frames = list(dataset.sequence.frames(np.full((dataset.sequence.observations, 3), 0.3)))
     for frame in frames:

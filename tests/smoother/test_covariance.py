@@ -23,7 +23,7 @@ def relative(found, wanted):
 @pytest.mark.parametrize("name", ["isam2", "isam2_norelin", "batch"])
 def test_without_errors_the_newest_poses_covariance_is_the_filters(name, monkeypatch):
     # The filter never takes the error of a match for zero, or the landmark's fourth number had no variance.
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-7)
     config, dataset = exact(seed=3, frames=30, tracks_in_view=25, depth_max=20.0)
     ekf = filtered(config, dataset)
     smoothed = member(name, config, dataset, pose_cov_every=1)
@@ -43,7 +43,7 @@ SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
 def test_filter_and_smoother_know_the_direction_of_the_velocity_alike(acceleration, within, monkeypatch):
     """Its covariance, and what of a small error of it both find: with 1e-5 rad nothing is beyond first
     order."""
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-7)
     config, dataset = exact(seed=3, frames=20, tracks_in_view=25, depth_max=20.0)
     sigma = (*config.noise.bias_sigma[:4], 1e-4, 1e-4)
     more = {"velocity_direction_sigma": 0.02, "bias_sigma": sigma, "acceleration_density": acceleration}
@@ -59,7 +59,7 @@ def test_filter_and_smoother_know_the_direction_of_the_velocity_alike(accelerati
 
 
 def test_within_its_lag_the_fixed_lag_smoother_knows_as_much(monkeypatch):
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-7)
     config, dataset = exact(seed=3, frames=30, tracks_in_view=25, depth_max=20.0)
     ekf = filtered(config, dataset)
     # Marginals are exact where all is linearised at the truth, but for tracks longer than the lag.

@@ -141,7 +141,7 @@ def test_a_lag_longer_than_the_drive_changes_nothing(window, wildfire, within):
 @pytest.mark.parametrize("name", ["isam2_norelin", "isam2"])
 def test_the_last_pose_is_the_filters_where_all_is_nearly_linear(name, monkeypatch):
     # The filter never takes the error of a match for zero; that is half of this noise.
-    monkeypatch.setattr(noise, "_SMALLEST_MATCH_PX", 1e-7)
+    monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-7)
     config, dataset = drive(
         seed=6,
         frames=25,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import RIG
-from vislam.core.estimator import HEIGHT_SIGMA, ClimbNoise, Problem
+from vislam.core.estimator import HEIGHT_SIGMA, Problem, VerticalVelocityNoise
 from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
@@ -35,7 +35,7 @@ def problem(**more):
     )
 
 
-def frame(k, *, dt, twist=None, change=None, climb_rate=np.nan):
+def frame(k, *, dt, twist=None, change=None, vertical_velocity=np.nan):
     return Frame(
         k=k,
         stamp=float(k),
@@ -46,7 +46,7 @@ def frame(k, *, dt, twist=None, change=None, climb_rate=np.nan):
         odometry=OdometryStep(
             twist=np.zeros(6) if twist is None else twist,
             twist_change=np.zeros(6) if change is None else change,
-            climb_rate=climb_rate,
+            vertical_velocity=vertical_velocity,
         ),
     )
 
@@ -199,9 +199,9 @@ def test_the_clock_moves_the_twist_by_its_slope(rng):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_climb_ties_the_height_to_its_rate_and_the_pose_to_the_height(rng, known):
-    first, second = two_frames(rng, climb_rate=0.8 if known else np.nan)
-    builder = OdometryMotion(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05)))
+def test_the_vertical_velocity_ties_the_height_to_its_rate_and_the_pose_to_the_height(rng, known):
+    first, second = two_frames(rng, vertical_velocity=0.8 if known else np.nan)
+    builder = OdometryMotion(problem(vertical_velocity=VerticalVelocityNoise(walk=0.03, tilt_sigma=0.05)))
     *_, between, level = builder.factors(second, first)
     values = gtsam.Values()
     values.insert(H(0), np.array([0.0, 0.0, 0.2]))
@@ -216,11 +216,11 @@ def test_the_climb_ties_the_height_to_its_rate_and_the_pose_to_the_height(rng, k
     check_jacobians(between, values)
 
 
-def test_with_the_climb_the_first_pose_is_free_to_tilt_and_starts_at_height_zero(rng):
+def test_with_the_vertical_velocity_the_first_pose_is_free_to_tilt_and_starts_at_height_zero(rng):
     first, _ = two_frames(rng)
-    pose, height, level = OdometryMotion(problem(climb=ClimbNoise(walk=0.03, tilt_sigma=0.05))).factors(
-        first, None
-    )
+    pose, height, level = OdometryMotion(
+        problem(vertical_velocity=VerticalVelocityNoise(walk=0.03, tilt_sigma=0.05))
+    ).factors(first, None)
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(se3.exp(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))))
     values.insert(H(0), np.array([0.0, 0.0, 1e-4]))

@@ -10,7 +10,7 @@ from tests.conftest import from_first
 from tests.smoother.drives import BUILD, RIG, ate, drive, gap, member, smoother
 from vislam.base.errors import ConfigError
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ClimbConfig, Config, KernelConfig
+from vislam.comparison.config import Config, KernelConfig, VerticalVelocityConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
@@ -210,13 +210,14 @@ def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
 
 
 @pytest.mark.slow
-def test_the_climb_rate_holds_the_height():
-    config, _ = drive(seed=8, frames=100, levelled_velocity=True, hills_m=10.0, gyro=0.01)
-    data = replace(config.data, repair=replace(config.data.repair, levelled_velocity=True))
+def test_the_vertical_velocity_holds_the_height():
+    config, _ = drive(seed=8, frames=100, navigation_frame_velocity=True, hills_m=10.0, gyro=0.01)
+    data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
     dataset = open_dataset(data, seed=8)
-    climbing = replace(config, noise=replace(config.noise, climb=ClimbConfig()))
+    climbing = replace(config, noise=replace(config.noise, vertical_velocity=VerticalVelocityConfig()))
     height = dataset.reference.pose[:, 2, 3] - dataset.reference.pose[0, 2, 3]
-    # A lag keeps the tilt as it was linearised first, unless it relinearises. Without the climb rate: 1.5 m.
+    # A lag keeps the tilt as it was linearised first, unless it relinearises. Without the vertical velocity:
+    # 1.5 m.
     for name, options, limit in (
         ("isam2", {}, 0.1),
         ("batch", {}, 0.1),

@@ -8,7 +8,7 @@ import pytest
 
 from tests.smoother.drives import drive, gap, member
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ClimbConfig
+from vislam.comparison.config import VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.ekf import family
 from vislam.estimators.loop import run
@@ -23,10 +23,10 @@ TILT = 0.05
 @pytest.fixture(scope="module")
 def climbing():
     """A short drive over hills whose vertical velocity is used, a first pose tilted by 0.05 rad expected."""
-    settings = {"frames": FRAMES, "tracks_in_view": 25, "levelled_velocity": True, "hills_m": 10.0}
+    settings = {"frames": FRAMES, "tracks_in_view": 25, "navigation_frame_velocity": True, "hills_m": 10.0}
     config, _ = drive(seed=8, pixel=0.1, **settings)
-    data = replace(config.data, repair=replace(config.data.repair, levelled_velocity=True))
-    noise = replace(config.noise, climb=ClimbConfig(walk=0.05, tilt_sigma=TILT))
+    data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
+    noise = replace(config.noise, vertical_velocity=VerticalVelocityConfig(walk=0.05, tilt_sigma=TILT))
     return replace(config, data=data, noise=noise), open_dataset(data, seed=8)
 
 

@@ -10,8 +10,8 @@ from vislam.study.ablation import CASE, Ablation, changes
 from vislam.study.page.ablation import cost, defects_table, mending_table, short_table, verdict
 from vislam.study.trials import Trials
 
-ABLATION = Ablation(("sign", "axes", "stale", "bias"))
-COSTS = {"sign": 100.0, "axes": 10.0, "stale": 3.0, "bias": 1.0}
+ABLATION = Ablation(("sign", "axes", "duplicates", "bias"))
+COSTS = {"sign": 100.0, "axes": 10.0, "duplicates": 3.0, "bias": 1.0}
 
 
 def records(*, failing=()):
@@ -32,8 +32,8 @@ def test_the_cases_are_distinct_and_go_from_all_to_none():
     assert len(set(cases.values())) == len(cases) == 5 + 2 * 4 - 2
     assert next(iter(cases)) == "all defects"
     assert cases["no defect"] == ()
-    assert cases["from stale on"] == ("stale", "bias")
-    assert cases["all but axes"] == ("sign", "stale", "bias")
+    assert cases["from duplicates on"] == ("duplicates", "bias")
+    assert cases["all but axes"] == ("sign", "duplicates", "bias")
     steps = ABLATION.one_after_the_other()
     assert all(set(after) < set(before) for before, after in itertools.pairwise(steps))
 

@@ -111,7 +111,7 @@ EQUAL = {
     "lists": {"noise.bias_mean": ([0, 0, 0, 0, 0, 1], [0.0, 0, 0, 0, 0, 1])},
     "sections": {"estimators.ekf": ({}, {})},
     "no number": {"estimators.ekf.x": (float("nan"), float("nan"))},
-    "nothing and the default of nothing": {"noise.climb": (None, None)},
+    "nothing and the default of nothing": {"noise.vertical_velocity": (None, None)},
 }
 
 
@@ -158,8 +158,13 @@ def test_points_are_refused_or_all_different(short_config, grid):
 
 
 def test_sections_can_be_swept(short_config):
-    points = all_points(short_config, StudyConfig(grid={"noise.climb": (None, {"walk": 0.1}, {"walk": 0.2})}))
-    assert [point.tree["noise"]["climb"] and point.tree["noise"]["climb"]["walk"] for point in points] == [
+    points = all_points(
+        short_config, StudyConfig(grid={"noise.vertical_velocity": (None, {"walk": 0.1}, {"walk": 0.2})})
+    )
+    assert [
+        point.tree["noise"]["vertical_velocity"] and point.tree["noise"]["vertical_velocity"]["walk"]
+        for point in points
+    ] == [
         None,
         0.1,
         0.2,

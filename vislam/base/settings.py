@@ -3,7 +3,6 @@
 What can be set stands beside what it sets; here is what they have in common.
 """
 
-import logging
 import os
 import re
 from dataclasses import MISSING, asdict
@@ -15,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from vislam.base.errors import ConfigError, first_line
 from vislam.base.files import open_regular
+from vislam.base.former import renamed, renamed_path
 from vislam.base.legible import one_line, quoted
 from vislam.base.shipped import find_config
 from vislam.base.yaml_text import DEEPEST, parse_yaml, unwritable
@@ -23,11 +23,8 @@ Parsed = TypeVar("Parsed")
 
 LONGEST_NAME = 128
 """Letters of a name."""
-_log = logging.getLogger(__name__)
 _WHOLE = ("estimators", "ablation_chain")
 """Sections in which the order matters: a config that extends another replaces them."""
-RENAMED = {"frozen_by": "common_set_from", "ladder": "ablation_chain"}
-"""Former names of sections, which this version still takes and notes; the next one does not."""
 OTHER = "other"
 """Tag of the section, of several, that has no fixed ``format``."""
 _MOST_BYTES = 1 << 18
@@ -43,7 +40,7 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
     ``above`` are files that build on it. A ConfigError says what is wrong with it.
     """
-    tree = _under_new_names(_read_one(path), str(path))
+    tree = renamed(_read_one(path), str(path))
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -57,21 +54,6 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     # A copy of a shipped config builds on what is shipped beside it.
     below = below if os.path.exists(below) else find_config(base) or below
     return _over(read(below, above=(*above, path.resolve())), tree)
-
-
-def _under_new_names(tree: dict[str, Any], where: str) -> dict[str, Any]:
-    """Give sections that have their former names the new ones."""
-    for former in RENAMED.keys() & tree.keys():
-        if RENAMED[former] in tree:
-            raise ConfigError(f"{where}: {former} is the former name of {RENAMED[former]}: give one of them")
-    return {_new_name(key): value for key, value in tree.items()}
-
-
-def _new_name(key: str) -> str:
-    """Name of a section, noted if it was given by its former one."""
-    if key in RENAMED:
-        _log.warning("%s is now called %s; this version takes the former name, too", key, RENAMED[key])
-    return RENAMED.get(key, key)
 
 
 def _over(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
@@ -181,11 +163,9 @@ def inline(value: Any) -> str:
 
 def put(tree: dict[str, Any], dotted: str, value: Any) -> None:
     """Set a value of a tree of plain data by its dotted path; ConfigError if that leads nowhere."""
-    *parents, last = dotted.split(".")
+    *parents, last = renamed_path(dotted).split(".")
     if not all((*parents, last)) or len(parents) >= DEEPEST:
         raise ConfigError(f"{quoted(dotted)}: expected a key, or keys joined by single dots")
-    if not parents:
-        last = _new_name(last)
     for part in parents:
         if tree.get(part) is None or tree[part] is True:
             # A section that is left empty, or a step that is switched on with its defaults.

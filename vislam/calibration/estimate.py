@@ -11,7 +11,7 @@ from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray
 from vislam.base.workers import Workers
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.match import match_level
+from vislam.calibration.match import matching_bias
 from vislam.calibration.parameters import MATCH, Parameter
 from vislam.calibration.search import ROUNDS, Round, maximise
 from vislam.comparison.config import Config
@@ -153,7 +153,7 @@ def _calibrate(
 ) -> Calibration:
     before = _finished(evaluator.run(config))
     current = config
-    match = match_level(current, evaluator)
+    match = matching_bias(current, evaluator)
     for choice in range(1, _CHOICES + 1):
         current = MATCH.write(current, match.pixels)
         run = _finished(evaluator.run(current))
@@ -184,7 +184,7 @@ def _calibrate(
             f"{changed} observations changed sides"
         )
         # The level of the match was read off with the noise from before this choice.
-        again = match_level(current, evaluator)
+        again = matching_bias(current, evaluator)
         match_rests = abs(again.pixels - match.pixels) <= _MATCH_RESTS * again.sigma
         if (changed <= _RESTS * len(usable) and match_rests) or choice == _CHOICES:
             break

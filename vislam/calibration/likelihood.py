@@ -44,12 +44,12 @@ class Evaluator:
         """Run the filter; with ``usable (n,)`` given, that choice of observations replaces the gate."""
         return _filter(self._moved(config), config, usable)
 
-    def match_errors(self, config: Config) -> tuple[IntArray, Array, Array]:
+    def matching_biases(self, config: Config) -> tuple[IntArray, Array, Array]:
         """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
         dataset = self._moved(config)
         solver = EkfEstimator(_problem(config, dataset), _OPTIONS)
         _run(solver, dataset, config, None)
-        return solver.match_errors()
+        return solver.matching_biases()
 
     def log_likelihoods(self, configs: Items[Config], *, usable: BoolArray) -> list[Array]:
         """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""

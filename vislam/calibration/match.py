@@ -25,7 +25,7 @@ _SPREAD = 1.166
 
 
 @dataclass(frozen=True)
-class MatchLevel:
+class MatchingBias:
     """Level and its standard deviation [px]; ``found`` is False if too few errors ever became known."""
 
     pixels: float
@@ -33,17 +33,17 @@ class MatchLevel:
     found: bool
 
 
-def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
+def matching_bias(config: Config, evaluator: Evaluator) -> MatchingBias:
     """Level of the stereo-matching bias on the evaluator's sequence, with the config's other settings."""
-    level, sigma = max(config.noise.match_px, 0.1), np.inf
+    level, sigma = max(config.noise.matching_bias_px, 0.1), np.inf
     first_disparity = _first_disparities(evaluator)
     for _ in range(_ITERATIONS):
-        trial = replace(config, noise=replace(config.noise, match_px=level))
-        track, error, variance = evaluator.match_errors(trial)
+        trial = replace(config, noise=replace(config.noise, matching_bias_px=level))
+        track, error, variance = evaluator.matching_biases(trial)
         prior = (level / first_disparity[track]) ** 2
         known = variance < _KNOWN * prior
         if np.count_nonzero(known) < _FEWEST:
-            return MatchLevel(config.noise.match_px, np.inf, False)
+            return MatchingBias(config.noise.matching_bias_px, np.inf, False)
         # What has been learnt of an error has the variance that its own has lost.
         learnt = 1.0 - variance[known] / prior[known]
         pixels = error[known] / np.sqrt(learnt) * first_disparity[track[known]]
@@ -51,7 +51,7 @@ def match_level(config: Config, evaluator: Evaluator) -> MatchLevel:
         sigma = _SPREAD * level / np.sqrt(len(pixels))
         if abs(level - before) < _RESTS * before:
             break
-    return MatchLevel(level, float(sigma), True)
+    return MatchingBias(level, float(sigma), True)
 
 
 def _first_disparities(evaluator: Evaluator) -> Array:

@@ -86,8 +86,8 @@ def parameters(
             _acceleration("forward", _FORWARD, unit="m/s/sqrt(s)", lowest=1e-2),
             _acceleration("lateral and vertical", slice(4, 6), unit="m/s/sqrt(s)", lowest=1e-2),
         ]
-    if config is not None and config.noise.climb is not None:
-        found.append(_CLIMB_WALK)
+    if config is not None and config.noise.vertical_velocity is not None:
+        found.append(_HEIGHT_WALK)
     if disparity_offset:
         found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=0.02))
     return found
@@ -141,20 +141,23 @@ def _of_step(
 _acceleration = partial(_density, of="acceleration_density")
 
 
-def _climb_walk() -> Parameter:
+def _height_walk() -> Parameter:
     def read(config: Config) -> float:
-        assert config.noise.climb is not None
-        return config.noise.climb.walk
+        assert config.noise.vertical_velocity is not None
+        return config.noise.vertical_velocity.walk
 
     def write(config: Config, value: float) -> Config:
-        assert config.noise.climb is not None
+        assert config.noise.vertical_velocity is not None
         return replace(
-            config, noise=_changed(config.noise, {"climb": replace(config.noise.climb, walk=value)})
+            config,
+            noise=_changed(
+                config.noise, {"vertical_velocity": replace(config.noise.vertical_velocity, walk=value)}
+            ),
         )
 
-    return Parameter("noise.climb.walk", "m/sqrt(s)", read, write, True, 0.05, 1e-3)
+    return Parameter("noise.vertical_velocity.walk", "m/sqrt(s)", read, write, True, 0.05, 1e-3)
 
 
-_CLIMB_WALK = _climb_walk()
-MATCH = _pixel("match_px", lowest=0.02)
+_HEIGHT_WALK = _height_walk()
+MATCH = _pixel("matching_bias_px", lowest=0.02)
 """The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""

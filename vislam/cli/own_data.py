@@ -77,7 +77,7 @@ def config_of(data: Path, *, out: Path) -> Path:
         text = configuration.dump(settings.parse(configuration.Config, tree))
     else:
         if levelled:
-            settings.put(tree, "data.repair.levelled_velocity", True)
+            settings.put(tree, "data.repair.navigation_frame_velocity", True)
         text = proposed_config(tree, result, folders=[out, Path()], written_to=path)
     write_text(path, text)
     terminal.note(f"config, saved as {path}:")
@@ -122,10 +122,10 @@ def _without_velocity(tree: dict[str, Any], result: Inspection, sequence: Sequen
     Nothing is taken over that was told by a velocity of 0: axes, clock, scale, and its own noise and bias.
     """
     found = {**result.settings, **result.proposal}
-    for dotted in ("noise.pixel_sigma_px", "noise.drift_px", "noise.match_px"):
+    for dotted in ("noise.pixel_sigma_px", "noise.drift_px", "noise.matching_bias_px"):
         if dotted in found:
             settings.put(tree, dotted, found[dotted])
-    settings.put(tree, "data.repair", {"disparity": True, "consensus": True, "stale_tracks": False})
+    settings.put(tree, "data.repair", {"disparity": True, "consensus": True, "duplicated_tracks": False})
     default = configuration.NoiseConfig()
     gyro = {
         "twist_density": found.get("noise.twist_density", default.twist_density)[:_GYRO],

@@ -17,12 +17,24 @@ _CLOSE = 1e-3
 """Share by which a noise may be told otherwise than it is drawn: rounding in a config."""
 _NONE = {
     "data.simulation": (
-        *("drift_px", "match_px", "match_share", "outlier_probability", "stale_probability"),
-        *("moving_share", "disparity_offset_px", "clock_offset", "levelled_velocity", "redetect_below"),
+        *(
+            "drift_px",
+            "matching_bias_px",
+            "matching_bias_share",
+            "outlier_probability",
+            "duplication_probability",
+        ),
+        *(
+            "moving_share",
+            "disparity_offset_px",
+            "clock_offset",
+            "navigation_frame_velocity",
+            "redetect_below",
+        ),
         "stated_baseline",
     ),
     "noise": (
-        *("drift_px", "match_px", "clock_sigma", "disparity_offset_sigma_px", "climb"),
+        *("drift_px", "matching_bias_px", "clock_sigma", "disparity_offset_sigma_px", "vertical_velocity"),
         "acceleration_density",
     ),
 }

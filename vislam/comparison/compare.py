@@ -32,7 +32,7 @@ from vislam.comparison.results import (
     read_spread,
 )
 from vislam.comparison.running import Runner
-from vislam.core.estimator import ClimbNoise, Estimator, Problem
+from vislam.core.estimator import Estimator, Problem, VerticalVelocityNoise
 from vislam.core.lagged import Lags
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
@@ -325,10 +325,10 @@ def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, frozen: Froze
 def make_problem(config: Config, dataset: Dataset) -> Problem:
     """Build the problem that all estimators are given; ConfigError if the data lack what it is to use."""
     noise = config.noise
-    if noise.climb is not None and not np.isfinite(dataset.sequence.climb_rate).any():
+    if noise.vertical_velocity is not None and not np.isfinite(dataset.sequence.vertical_velocity).any():
         raise ConfigError(
-            f"noise.climb: {dataset.sequence.name} has no vertical velocity; set it to null, or switch "
-            "data.repair.levelled_velocity on if the third velocity component is one"
+            f"noise.vertical_velocity: {dataset.sequence.name} has no vertical velocity; set it to null, or "
+            "switch data.repair.navigation_frame_velocity on if the third velocity component is one"
         )
     return Problem(
         rig=dataset.sequence.rig.copy(),
@@ -345,7 +345,9 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         clock_sigma=noise.clock_sigma,
         disparity_offset_sigma=noise.disparity_offset_sigma_px,
         direction_sigma=noise.velocity_direction_sigma,
-        climb=None if noise.climb is None else ClimbNoise(noise.climb.walk, noise.climb.tilt_sigma),
+        vertical_velocity=None
+        if noise.vertical_velocity is None
+        else VerticalVelocityNoise(noise.vertical_velocity.walk, noise.vertical_velocity.tilt_sigma),
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
         lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,
         kept=config.data.landmarks.most,
@@ -365,7 +367,7 @@ def pixel_sigma(config: Config, dataset: Dataset) -> Array:
 
 
 def _track_noise(config: Config) -> TrackNoise:
-    return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.match_px)
+    return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.matching_bias_px)
 
 
 def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:

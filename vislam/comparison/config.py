@@ -17,7 +17,6 @@ from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 
 __all__ = [
-    "ClimbConfig",
     "Config",
     "DataConfig",
     "HeldOutConfig",
@@ -30,6 +29,7 @@ __all__ = [
     "SimulationSource",
     "Six",
     "Source",
+    "VerticalVelocityConfig",
     "dump",
     "inline",
     "load",
@@ -222,7 +222,7 @@ consistent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class ClimbConfig:
+class VerticalVelocityConfig:
     """The vertical velocity as a measurement against gravity."""
 
     walk: Positive = 0.02
@@ -239,7 +239,7 @@ class NoiseConfig:
     """White noise of uL and uR [px]; that of the mean row is smaller by sqrt(2)."""
     drift_px: NonNegative = 0.0
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
-    match_px: NonNegative = 0.0
+    matching_bias_px: NonNegative = 0.0
     """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
     twist_density: Six = (1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02)
     """White noise of the inertial twist [rad/sqrt(s), m/sqrt(s)]."""
@@ -263,7 +263,7 @@ class NoiseConfig:
     the last two of ``bias_sigma`` and ``bias_walk`` what is left at standstill only."""
     disparity_offset_sigma_px: NonNegative = 0.0
     """The same of a constant error of all disparities after ``repair.disparity_offset`` [px]."""
-    climb: ClimbConfig | None = None
+    vertical_velocity: VerticalVelocityConfig | None = None
     """How the vertical velocity is used; null: it is not."""
 
 

@@ -248,9 +248,9 @@ def _parted(
 ) -> tuple[Sequence, Sequence | None]:
     """Repaired sequence of what is given, and of the tracks that are held out.
 
-    Repairs let tracks vote, on stale frames and on the rigid motion of a frame, so those that are held out
-    are chosen before: the given ones are repaired as if there were no others. The held-out ones are cut by
-    the vote of all, and none of their pieces is given; those too short to be scored are dropped.
+    Repairs let tracks vote, on duplicated frames and on the rigid motion of a frame, so those that are held
+    out are chosen before: the given ones are repaired as if there were no others. The held-out ones are cut
+    by the vote of all, and none of their pieces is given; those too short to be scored are dropped.
     """
     if held_out is None:
         return _repaired(raw, config), None

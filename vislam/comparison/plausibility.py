@@ -14,7 +14,7 @@ from vislam.base.types import Array
 from vislam.core.rigid_fit import FEWEST, continuations, fit_rigid
 from vislam.core.sequence import Sequence
 from vislam.geometry import so3
-from vislam.repair.tracks import StaleTracks
+from vislam.repair.tracks import DuplicatedTracks
 
 _PERIOD_S = (1e-4, 10.0)
 _USUAL_PERIOD_S = 0.05
@@ -123,7 +123,7 @@ def motion_ratios(sequence: Sequence) -> Ratios:
     possible = (sequence.disparity > _SMALLEST_DISPARITY_PX) & (
         np.abs(pixels[:, 1] - pixels[:, 3]) < _ROWS_PX
     )
-    usable = StaleTracks().apply(sequence.select(possible))
+    usable = DuplicatedTracks().apply(sequence.select(possible))
     pairs = continuations(usable)
     frames = np.flatnonzero(np.diff(pairs.start) >= FEWEST)
     frames = frames[:: max(1, len(frames) // _FRAMES)]

@@ -53,18 +53,18 @@ def redraw(sequence: Sequence, reference: Reference, config: RedrawConfig, *, se
     bias = np.array(config.bias) + np.array(config.bias_sigma) * generator.standard_normal(6)
     noise = np.array(config.twist_density) / np.sqrt(period) * generator.standard_normal((len(period), 6))
     twist = se3.local(poses[:-1], poses[1:]) / period + bias + noise
-    climb = np.full(len(twist), np.nan)
-    if np.isfinite(sequence.climb_rate).any():
-        climb = np.diff(poses[:, 2, 3]) / period[:, 0] + noise[:, 5]
+    rise = np.full(len(twist), np.nan)
+    if np.isfinite(sequence.vertical_velocity).any():
+        rise = np.diff(poses[:, 2, 3]) / period[:, 0] + noise[:, 5]
         twist[:, 5] = 0.0
-    stamp, samples = piecewise_constant(sequence.stamp, np.column_stack([twist, climb]))
+    stamp, samples = piecewise_constant(sequence.stamp, np.column_stack([twist, rise]))
     told = hashlib.sha256(samples.tobytes()).hexdigest()
     return replace(
         sequence,
         name=f"{sequence.name} with redrawn inertial data",
         inertial_stamp=stamp,
         twist=samples[:, :6],
-        climb_rate=samples[:, 6],
+        vertical_velocity=samples[:, 6],
         clock_offset=0.0,
         # Raw inertia would be of another motion than the redrawn.
         imu=None,

@@ -25,14 +25,14 @@ GROUP = "vislam.estimators"
 
 HEIGHT_SIGMA = 0.02
 """White error of the height against the integrated vertical velocity [m]."""
-UNKNOWN_CLIMB = 5.0
+UNKNOWN_VERTICAL_VELOCITY = 5.0
 """Standard deviation of the vertical velocity where a step has none [m/s]."""
 FIRST_TWIST_S = 1000.0
 """Of the first twist as much is known beforehand as this time after the first inertial sample [s]."""
 
 
 @dataclass(frozen=True)
-class ClimbNoise:
+class VerticalVelocityNoise:
     """How the vertical velocity is taken as a measurement.
 
     Attributes
@@ -67,7 +67,7 @@ class Problem:
         Prior standard deviation of the inertial stamps' further offset from the camera's [s]; 0: known.
     disparity_offset_sigma : float
         Prior standard deviation of a constant error of all disparities [px]; 0: known.
-    climb : ClimbNoise or None
+    vertical_velocity : VerticalVelocityNoise or None
         None: the vertical velocity is not used.
     direction_sigma : float
         Prior standard deviation of the direction of the recorded velocity in the body, to the left and up
@@ -91,7 +91,7 @@ class Problem:
     gate_probability: float
     clock_sigma: float = 0.0
     disparity_offset_sigma: float = 0.0
-    climb: ClimbNoise | None = None
+    vertical_velocity: VerticalVelocityNoise | None = None
     direction_sigma: float = 0.0
     kernel: Kernel | None = None
     lags: Lags | None = None

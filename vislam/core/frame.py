@@ -42,13 +42,13 @@ class OdometryStep:
         Mean inertial twist (omega, v) over the step, body frame [rad/s, m/s].
     twist_change : (6,)
         Twist at this frame less that at the frame before; 0 for the first.
-    climb_rate : float
+    vertical_velocity : float
         Mean vertical velocity over the step [m/s]; NaN where the recording has none.
     """
 
     twist: Array
     twist_change: Array
-    climb_rate: float
+    vertical_velocity: float
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,8 @@ class ImageRecording:
     inertia : Inertia or None
     reference : StampedPoses, ReferenceFile or None
     levelled : bool
-        Whether the velocity is parallel to the earth's surface, with the climb rate for its third component.
+        Whether the velocity is parallel to the earth's surface, with the vertical velocity for its third
+        component.
     counts : dict
         What was listed, and left out before any image was read.
     """

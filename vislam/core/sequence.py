@@ -58,7 +58,7 @@ class Sequence:
         Times of the inertial samples, increasing [s].
     twist : (S, 6)
         Inertial samples (omega, v), body frame [rad/s, m/s].
-    climb_rate : (S,)
+    vertical_velocity : (S,)
         Vertical velocity samples [m/s], NaN where the velocity is not levelled.
     rig : StereoRig
     offset : (T + 1,)
@@ -89,7 +89,7 @@ class Sequence:
     stamp: Array
     inertial_stamp: Array
     twist: Array
-    climb_rate: Array
+    vertical_velocity: Array
     rig: StereoRig
     offset: IntArray
     track: IntArray
@@ -212,7 +212,7 @@ class Sequence:
         """
         z, sigma, track = immutable(self.z), immutable(sigma), immutable(self.track)
         usable = immutable(np.ones(self.observations, bool) if usable is None else usable)
-        means, climb = self.step_means()
+        means, rise = self.step_means()
         twist = immutable(means)
         at = self.stamp + self.clock_offset
         at_frame = np.column_stack([np.interp(at, self.inertial_stamp, axis) for axis in self.twist.T])
@@ -226,7 +226,7 @@ class Sequence:
                 stamp=float(self.stamp[k]),
                 dt=float(dt[k]),
                 stereo=StereoFrame(track[rows], z[rows], sigma[rows], usable[rows]),
-                odometry=OdometryStep(twist[k], change[k], float(climb[k])),
+                odometry=OdometryStep(twist[k], change[k], float(rise[k])),
                 imu=inertia,
             )
 
@@ -236,7 +236,7 @@ class Sequence:
         The samples are joined by straight lines, moved by the clock offset and averaged exactly
         over the step. The first row, which ends no step, is the value at the first frame.
         """
-        samples = np.column_stack([self.twist, self.climb_rate])
+        samples = np.column_stack([self.twist, self.vertical_velocity])
         means = np.empty((len(self), samples.shape[1]))
         at = self.stamp + self.clock_offset
         for column in range(samples.shape[1]):

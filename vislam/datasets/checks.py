@@ -143,7 +143,7 @@ class Observations:
             stamp=stamp,
             inertial_stamp=stamp,
             twist=twist,
-            climb_rate=np.full(frames, np.nan),
+            vertical_velocity=np.full(frames, np.nan),
             rig=rig,
             offset=self.offset(frames),
             track=self.track,

@@ -123,7 +123,7 @@ def _sequence(number: Array, world_T_imu: Array, sigma: Array, *, seed: int) -> 
         stamp=stamp,
         inertial_stamp=inertial_stamp,
         twist=twist,
-        climb_rate=np.full(len(inertial_stamp), np.nan),
+        vertical_velocity=np.full(len(inertial_stamp), np.nan),
         rig=_rig(),
         offset=np.searchsorted(frame, np.arange(len(stamp) + 1)),
         track=track,

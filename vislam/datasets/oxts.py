@@ -4,7 +4,7 @@ A folder has ``data/*.txt``, one file a sample with 30 numbers, and ``timestamps
 Of the numbers (``dataformat.txt`` of KITTI's raw data kit, counted from 0) 8, 9, 10 are vf, vl, vu [m/s] and
 17, 18, 19 are wx, wy, wz [rad/s]. The rates are about the body's own axes, forward, left, up. The velocities
 are levelled, that is vf and vl parallel to the earth's surface and vu across it, so such data wants the
-repair ``levelled_velocity``.
+repair ``navigation_frame_velocity``.
 """
 
 import hashlib
@@ -69,7 +69,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
         sequence,
         inertial_stamp=stamp,
         twist=table[:, _TWIST],
-        climb_rate=np.full(len(stamp), np.nan),
+        vertical_velocity=np.full(len(stamp), np.nan),
         digest=hashlib.sha256(b"|".join(parts)).hexdigest(),
         counts={
             **sequence.counts,

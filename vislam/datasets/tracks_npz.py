@@ -28,9 +28,11 @@ IMU = ("imu_stamp", "imu_gyro", "imu_accel")
 """Keys of raw inertia: all of them or none. With them the velocities may be left out."""
 OPTIONAL = (
     *IMU,
-    *("version", "inertial_stamp", "climb_rate", "simulated"),
+    *("version", "inertial_stamp", "vertical_velocity", "simulated"),
     *("reference_frame", "reference_pose", "landmark_track", "landmark_world"),
 )
+FORMER = {"climb_rate": "vertical_velocity"}
+"""Keys of files of earlier versions, and what they are called now."""
 TELLING = frozenset({"frame", "track", "pixels"})
 """Keys that no other format has together."""
 _VERSION = 1
@@ -69,7 +71,7 @@ class _Reader:
         stamp = checks.stamps("stamp", small("stamp", largest=LARGEST_STAMP))
         seen, ids = self._observations(len(stamp))
         imu = self._imu()
-        inertial_stamp, twist, climb = self._odometry(stamp, imu)
+        inertial_stamp, twist, rise = self._odometry(stamp, imu)
         rig = checks.rig(
             "K",
             small("K", (3, 3)),
@@ -81,7 +83,7 @@ class _Reader:
             stamp=stamp,
             inertial_stamp=inertial_stamp,
             twist=twist,
-            climb_rate=climb,
+            vertical_velocity=rise,
             rig=rig,
             offset=seen.offset(len(stamp)),
             track=seen.track,
@@ -107,7 +109,12 @@ class _Reader:
             raise DataError(
                 f"{self._path}: key {', '.join(map(repr, missing))} is missing; {PAGE} tells what each holds"
             )
-        unknown = sorted(keys - {*REQUIRED, *OPTIONAL})
+        for former in FORMER.keys() & keys:
+            if FORMER[former] in keys:
+                raise DataError(
+                    f"{self._path}: key {former!r} is the former name of {FORMER[former]!r}: give one of them"
+                )
+        unknown = sorted(keys - {*REQUIRED, *OPTIONAL, *FORMER})
         if unknown:
             raise DataError(
                 f"{self._path}: key {brief(', '.join(map(repr, unknown)))} is unknown; optional are "
@@ -130,10 +137,11 @@ class _Reader:
         samples = len(stamp)
         rate = small("angular_velocity", (samples, 3), largest=LARGEST_TWIST, unit="rad/s")
         velocity = small("linear_velocity", (samples, 3), largest=LARGEST_TWIST, unit="m/s")
-        climb = np.full(samples, np.nan)
-        if "climb_rate" in keys:
-            climb = small("climb_rate", (samples,), largest=LARGEST_TWIST, unit="m/s")
-        return stamp, np.hstack([rate, velocity]), climb
+        rise = np.full(samples, np.nan)
+        for key in ("vertical_velocity", *FORMER):
+            if key in keys:
+                rise = small(key, (samples,), largest=LARGEST_TWIST, unit="m/s")
+        return stamp, np.hstack([rate, velocity]), rise
 
     def _imu(self) -> ImuSeries | None:
         """Raw inertia, where the file has it."""
@@ -237,8 +245,8 @@ def write_tracks_npz(path: Path, recording: Recording) -> None:
         "angular_velocity": sequence.twist[:, :3],
         "linear_velocity": sequence.twist[:, 3:],
     }
-    if np.isfinite(sequence.climb_rate).all():
-        arrays["climb_rate"] = sequence.climb_rate
+    if np.isfinite(sequence.vertical_velocity).all():
+        arrays["vertical_velocity"] = sequence.vertical_velocity
     if sequence.imu is not None:
         arrays["imu_stamp"] = sequence.imu.stamp - sequence.clock_offset
         arrays["imu_gyro"], arrays["imu_accel"] = sequence.imu.gyro, sequence.imu.accel

@@ -113,7 +113,7 @@ def _assembled(
         stamp=stamp,
         inertial_stamp=inertia.stamp.copy(),
         twist=np.hstack([inertia.gyro, inertia.velocity]),
-        climb_rate=np.full(len(inertia.stamp), np.nan),
+        vertical_velocity=np.full(len(inertia.stamp), np.nan),
         rig=recording.pair.rig,
         offset=_offsets(frame[long_enough], len(kept)),
         track=number.astype(np.int64),

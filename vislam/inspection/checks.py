@@ -18,10 +18,10 @@ from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.lever_arm import check_lever_arm
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus
-from vislam.repair.inertial import Clock, LevelledVelocity
+from vislam.repair.inertial import Clock, NavigationFrameVelocity
 from vislam.repair.mounting import Baseline
 from vislam.repair.pixels import Disparity, DisparityOffset
-from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks
+from vislam.repair.tracks import DuplicatedTracks, Interruptions, SingleObservations
 
 _FEWEST_FRAMES = 20
 _KEPT = 0.5
@@ -37,14 +37,14 @@ _NEEDS_MOTION = (
     "data.repair.consensus",
     "noise.pixel_sigma_px",
     "noise.drift_px",
-    "noise.match_px",
+    "noise.matching_bias_px",
     "noise.bias_mean",
     "noise.bias_sigma",
 )
 """What is told by the camera's own motion."""
 _TOLD_TOGETHER = ("data.repair.consensus", "noise.bias_mean", "noise.bias_sigma")
 """What of it the tracks of all steps together tell, too."""
-_DROPPING = ("disparity", "consensus", "stale_tracks")
+_DROPPING = ("disparity", "consensus", "duplicated_tracks")
 
 
 @dataclass
@@ -82,8 +82,8 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
     book.enter(tracks.check_stamps(raw, in_seconds=sequence))
     book.enter(units.check_units(raw, sequence))
     book.enter(observations.check_observations(sequence, repair))
-    book.enter(*tracks.check_stale(sequence, repair))
-    uncut = StaleTracks().apply(sequence)
+    book.enter(*tracks.check_duplicated(sequence, repair))
+    uncut = DuplicatedTracks().apply(sequence)
     book.enter(tracks.check_seen_again(uncut, kept=config.data.landmarks.kept))
     cut = Interruptions().apply(uncut)
     few = book.enter(*tracks.check_track_counts(cut))
@@ -156,7 +156,7 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     # clock: where that has to move, the mounting is read again.
     mount, reading, series = mounting.check_mounting(cut, repair)
     voted = Consensus().apply(mounting.mounted(cut, reading))
-    agreed = SingleSightings().apply(voted)
+    agreed = SingleObservations().apply(voted)
     pairs = continuations(agreed)
     fits = rigid_fits(agreed, pairs)
     if len(fits) < _FEWEST_FRAMES:
@@ -173,7 +173,7 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     timed = replace(timed, rig=mounting.mounted(cut, reading).rig)
     third = book.enter(motion.check_third_component(timed, motion.vision_steps(timed, fits), repair))
     if _levelled(third, repair):
-        timed = LevelledVelocity().apply(timed)
+        timed = NavigationFrameVelocity().apply(timed)
     told, series = stereo.check_stereo(timed, repair)
     for finding in told:
         book.enter(finding, series)
@@ -182,9 +182,9 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
 
 
 def _levelled(third: Finding, repair: RepairConfig) -> bool:
-    """Whether the third velocity component is to be read as the climb rate."""
-    path = "data.repair.levelled_velocity"
-    return bool({**third.settings, **third.proposal}.get(path, repair.levelled_velocity is not None))
+    """Whether the third velocity component is to be read as the vertical velocity."""
+    path = "data.repair.navigation_frame_velocity"
+    return bool({**third.settings, **third.proposal}.get(path, repair.navigation_frame_velocity is not None))
 
 
 def _mended_stereo(sequence: Sequence, told: list[Finding], repair: RepairConfig) -> Sequence:
@@ -214,7 +214,7 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
             sequence, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px
         )
     )
-    book.enter(stereo.check_match(sequence, fits, match_px=noise.match_px))
+    book.enter(stereo.check_match(sequence, fits, matching_bias_px=noise.matching_bias_px))
     means, _ = sequence.step_means()
     book.series |= {
         "step_time": sequence.stamp[steps.frame] - sequence.stamp[0],
@@ -226,10 +226,10 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
 def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> None:
     """Say what was not looked at, as single steps show too little of it, and what all together tell."""
     repair, noise = config.data.repair, config.noise
-    levelled = repair.levelled_velocity is not None
+    levelled = repair.navigation_frame_velocity is not None
     third = None if levelled else motion.third_component_unseen(cut)
     levelled = levelled or (third is not None and _levelled(third, repair))
-    voted = Consensus().apply(LevelledVelocity().apply(cut) if levelled else cut)
+    voted = Consensus().apply(NavigationFrameVelocity().apply(cut) if levelled else cut)
     error = twist_error(inertial_pairs(voted))
     told = _TOLD_TOGETHER if error is not None else ()
     untold = [path for path in _NEEDS_MOTION if path not in told]
@@ -252,7 +252,7 @@ def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> N
 
 def bare_tree(name: str, file: str) -> dict[str, Any]:
     """Config of a bare file as plain data: nothing is repaired, so that every trap is found."""
-    nothing = {"stale_tracks": False, "disparity": False, "consensus": False}
+    nothing = {"duplicated_tracks": False, "disparity": False, "consensus": False}
     return {"name": name[:LONGEST_NAME], "data": {"file": file, "repair": nothing}}
 
 

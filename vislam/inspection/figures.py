@@ -16,7 +16,7 @@ from vislam.report.figures import Drawing
 Panel = Callable[[Axes, dict[str, Array]], None]
 _NAMES = ("rate x [rad/s]", "rate y [rad/s]", "rate z [rad/s]", "forward [m/s]", "left [m/s]", "third [m/s]")
 _TOLD = {
-    "tracks": ("Tracks", "Tracks in view of each frame, the stale frames, and how long tracks are."),
+    "tracks": ("Tracks", "Tracks in view of each frame, the duplicated frames, and how long tracks are."),
     "motion": (
         "Motion",
         "Rates and velocities of each step: as the camera sees them, and as the inertial samples say.",
@@ -29,7 +29,7 @@ _TOLD = {
 }
 """Title and caption of each figure."""
 OF_CHECKS = {
-    "tracks": ("stale tracks", "tracks", "observations"),
+    "tracks": ("duplicated tracks", "tracks", "observations"),
     "motion": ("biases", "inertial noise", "third velocity component", "units"),
     "checks": ("axes and extrinsic", "clock", "stereo scale", "disparity offset", "pixel noise"),
 }
@@ -60,17 +60,17 @@ def _tracks(series: dict[str, Array]) -> Figure:
     above, below = figure.subplots(2)
     above.plot(series["tracks_in_view"], linewidth=0.8, color=COLOURS[0], label="tracks in view")
     above.plot(
-        series["stale_frames"],
-        np.zeros(len(series["stale_frames"])),
+        series["duplicated_frames"],
+        np.zeros(len(series["duplicated_frames"])),
         "|",
         color=COLOURS[1],
-        label="stale frames",
+        label="duplicated frames",
     )
     above.set(xlabel="frame", ylabel="tracks")
     legend(figure, above)
     length = series["track_length"]
     below.hist(length, color=COLOURS[0], bins=np.arange(1, max(length.max(initial=1), 2) + 2) - 0.5)
-    below.set(xlabel="length of a track, stale tracks cut [frames]", ylabel="tracks")
+    below.set(xlabel="length of a track, duplicated tracks cut [frames]", ylabel="tracks")
     if len(length):
         logarithmic(below)
     return figure

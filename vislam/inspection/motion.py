@@ -279,7 +279,7 @@ def _across(sequence: Sequence, steps: VisionSteps) -> Array:
 
 
 def check_third_component(sequence: Sequence, steps: VisionSteps, repair: RepairConfig) -> Finding:
-    """Whether the third velocity component is the body's own, as the camera sees it, or the climb rate.
+    """Whether the third velocity component is the body's own, as the camera sees it, or the vertical one.
 
     Parameters
     ----------
@@ -295,21 +295,21 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
     slope = _slope(recorded, seen, forward=means[steps.frame, 3], reliable=reliable)
     climbed = np.trapezoid(sequence.twist[:, 5], sequence.inertial_stamp)
     told = f"the camera sees {slope} of the third velocity component in the body's own z"
-    counts = {"climb_m": float(climbed), "reliable_share": reliable}
-    levelled = repair.levelled_velocity is not None
+    counts = {"height_m": float(climbed), "reliable_share": reliable}
+    levelled = repair.navigation_frame_velocity is not None
     if reliable < _RELIABLE or slope.sigma > 0.2:
         text = f"cannot tell body from levelled velocity: {100 * (1 - reliable):.0f} % of it is noise, {told}"
         return _third_unclear(sequence, text, (slope,), counts)
     if slope.value < 0.5:
-        text = f"{told}: it is the climb rate, its integral gives {climbed:+.1f} m of height"
+        text = f"{told}: it is the vertical velocity, its integral gives {climbed:+.1f} m of height"
         if levelled:
             return Finding("third velocity component", "ok", text, (slope,), counts)
-        proposal = {"data.repair.levelled_velocity": True}
+        proposal = {"data.repair.navigation_frame_velocity": True}
         return Finding("third velocity component", "fault", text, (slope,), counts, proposal)
     text = f"{told}: it is the body's own"
     if not levelled:
         return Finding("third velocity component", "ok", text, (slope,), counts)
-    proposal = {"data.repair.levelled_velocity": False}
+    proposal = {"data.repair.navigation_frame_velocity": False}
     return Finding("third velocity component", "fault", text, (slope,), counts, proposal)
 
 
@@ -322,7 +322,7 @@ def _third_unclear(
     sequence: Sequence, text: str, measured: tuple[Measured, ...], counts: dict[str, float]
 ) -> Finding:
     """Take the safe reading: a vehicle on the ground hardly moves along its own z, whatever is recorded."""
-    path, check = "data.repair.levelled_velocity", "third velocity component"
+    path, check = "data.repair.navigation_frame_velocity", "third velocity component"
     velocity = sequence.twist[:, 3:]
     third = float(np.sqrt(np.mean(velocity[:, 2] ** 2)))
     speed = float(np.sqrt(np.mean(np.sum(velocity**2, axis=1))))
@@ -330,7 +330,7 @@ def _third_unclear(
         share = f"{third:.2g} of {speed:.2g} m/s"
         reason = f"{text}; it is {share}, too much for a vehicle on the ground: as configured"
         return Finding(check, "unclear", reason, measured, counts, unknown={path: reason})
-    reason = f"{text}; read as the climb rate, which is safe on the ground"
+    reason = f"{text}; read as the vertical velocity, which is safe on the ground"
     return Finding(check, "unclear", reason, measured, counts, settings={path: True}, unknown={path: reason})
 
 

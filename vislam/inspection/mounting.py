@@ -123,7 +123,7 @@ def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, C
     Parameters
     ----------
     sequence : Sequence
-        Extrinsic as the file has it, stale tracks cut.
+        Extrinsic as the file has it, duplicated tracks cut.
     repair : RepairConfig
         What is configured.
 

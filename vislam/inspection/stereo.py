@@ -232,7 +232,7 @@ def _fit(disparity: Array, ratio: Array) -> tuple[Array | None, Array, Array]:
     return np.array([solution[0], solution[1] / solution[0]]), table[:, 0], table[:, 1]
 
 
-def check_match(sequence: Sequence, fits: dict[int, RigidFit], *, match_px: float) -> Finding:
+def check_match(sequence: Sequence, fits: dict[int, RigidFit], *, matching_bias_px: float) -> Finding:
     """Stereo-matching bias: what of a track's depth error stays with it.
 
     By its disparity and flow, every track says how far the camera went. Ratios to the seen step in steps that
@@ -251,18 +251,18 @@ def check_match(sequence: Sequence, fits: dict[int, RigidFit], *, match_px: floa
     one, other = _lagged(track, frame, error, len(sequence))
     if len(one) < _MATCH_FEWEST:
         text = f"{len(one)} pairs of steps of near tracks, too few to tell the stereo-matching bias"
-        unknown = {"noise.match_px": f"{text}; {match_px:g} px as configured"}
+        unknown = {"noise.matching_bias_px": f"{text}; {matching_bias_px:g} px as configured"}
         return Finding("stereo match", "unclear", text, unknown=unknown)
     parts = [part for part in np.array_split(np.arange(len(one)), _BLOCKS) if len(part)]
     whole = _common(one, other)
     left_out = [_common(np.delete(one, part), np.delete(other, part)) for part in parts]
     sigma = float(np.hypot(jackknife(np.array(left_out)), 0.05 * whole))
     measured = Measured.around("stereo-matching bias", "px", whole, sigma=sigma)
-    text = f"{measured} at the first disparity of a track; configured {match_px:g} px"
+    text = f"{measured} at the first disparity of a track; configured {matching_bias_px:g} px"
     if measured.low <= 0.0:
-        unknown = {"noise.match_px": f"{text}: not told from none, as configured"}
+        unknown = {"noise.matching_bias_px": f"{text}: not told from none, as configured"}
         return Finding("stereo match", "unclear", text, (measured,), unknown=unknown)
-    settings = {"noise.match_px": round(whole, 3)}
+    settings = {"noise.matching_bias_px": round(whole, 3)}
     return Finding("stereo match", "note", text, (measured,), settings=settings)
 
 

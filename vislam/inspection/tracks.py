@@ -1,4 +1,4 @@
-"""Tracks and stamps: stale frames, repeats, gaps, and whether there are tracks enough."""
+"""Tracks and stamps: duplicated frames, repeats, gaps, and whether there are tracks enough."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from vislam.core.rigid_fit import FEWEST, continuations
 from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding, Verdict
 from vislam.repair import RepairConfig
-from vislam.repair.tracks import stale_observations
+from vislam.repair.tracks import duplicated_observations
 
 _FEW = 10
 """A frame with fewer tracks says little about its motion."""
@@ -25,27 +25,36 @@ _REMEMBERED = "most 100"
 """Landmarks out of view that are kept then: a bound on what a step of a filter takes."""
 
 
-def check_stale(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, dict[str, Array]]:
+def check_duplicated(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, dict[str, Array]]:
     """Frames in which most tracks repeat the pixels of the frame before, bit for bit."""
-    stale, repeats = stale_observations(sequence)
-    frames = np.flatnonzero(stale)
-    in_stale = int(repeats[stale[sequence.frame_of]].sum())
-    lone = int(repeats.sum()) - in_stale
+    duplicated, repeats = duplicated_observations(sequence)
+    frames = np.flatnonzero(duplicated)
+    in_duplicated = int(repeats[duplicated[sequence.frame_of]].sum())
+    lone = int(repeats.sum()) - in_duplicated
     share = len(frames) / max(len(sequence) - 1, 1)
-    counts = {"stale_frames": len(frames), "observations": in_stale, "lone_repeats": lone, "share": share}
-    series = {"stale_frames": frames.astype(float)}
+    counts = {
+        "duplicated_frames": len(frames),
+        "observations": in_duplicated,
+        "lone_repeats": lone,
+        "share": share,
+    }
+    series = {"duplicated_frames": frames.astype(float)}
     if len(frames) == 0:
-        return Finding("stale tracks", "ok", f"no stale frame; {lone} lone repeats", counts=counts), series
+        return Finding(
+            "duplicated tracks", "ok", f"no duplicated frame; {lone} lone repeats", counts=counts
+        ), series
     listed = ", ".join(str(k) for k in frames[:_LISTED]) + (" ..." if len(frames) > _LISTED else "")
     text = (
-        f"{len(frames)} frames ({listed}) repeat the pixels of the frame before in {in_stale} observations, "
-        "then follow other points; taken as they stand they say 'no motion' and shorten the path by "
+        f"{len(frames)} frames ({listed}) repeat the pixels of the frame before in {in_duplicated} "
+        "observations, then follow other points; uncorrected they indicate no motion and shorten the path by "
         f"{100 * share:.0f} %; {lone} lone repeats besides"
     )
-    if repair.stale_tracks is not None:
-        return Finding("stale tracks", "ok", f"{text}; the configured cut answers it", counts=counts), series
-    proposal = {"data.repair.stale_tracks": True}
-    return Finding("stale tracks", "fault", text, counts=counts, proposal=proposal), series
+    if repair.duplicated_tracks is not None:
+        return Finding(
+            "duplicated tracks", "ok", f"{text}; the configured cut answers it", counts=counts
+        ), series
+    proposal = {"data.repair.duplicated_tracks": True}
+    return Finding("duplicated tracks", "fault", text, counts=counts, proposal=proposal), series
 
 
 def check_stamps(recorded: Sequence, *, in_seconds: Sequence) -> Finding:
@@ -120,7 +129,7 @@ def check_seen_again(sequence: Sequence, *, kept: str) -> Finding:
 
 
 def check_track_counts(sequence: Sequence) -> tuple[Finding, dict[str, Array]]:
-    """Tracks in view and how long they live, stale tracks cut; whether they are enough to see the motion."""
+    """Tracks in view and their lengths, duplicated tracks cut; whether they suffice to observe the motion."""
     in_view = np.diff(sequence.offset)
     length = np.bincount(sequence.track)
     length = length[length > 0]

@@ -20,7 +20,7 @@ from vislam.base.types import Array, IntArray
 
 SHARES = np.sqrt([1.0, 1.0, 0.5])
 """White noise of (uL, uR, v) in shares of that of a single pixel coordinate: v is the mean of two."""
-_SMALLEST_MATCH_PX = 1e-3
+_SMALLEST_BIAS_PX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class TrackNoise:
 
     def match_sigma(self, disparity: Array) -> Array:
         """Standard deviation of e for tracks that start with a disparity ``(n,)`` [px]; never zero."""
-        return max(self.match, _SMALLEST_MATCH_PX) / disparity
+        return max(self.match, _SMALLEST_BIAS_PX) / disparity
 
 
 def independent_sigma(noise: TrackNoise, *, age: IntArray, disparity: Array, first_disparity: Array) -> Array:

@@ -25,7 +25,7 @@ class Consensus:
     """How far off, in robust standard deviations of the frame."""
 
     def apply(self, sequence: Sequence) -> Sequence:
-        """Cut the tracks there; stale tracks must have been cut before."""
+        """Cut the tracks there; duplicated tracks must have been cut before."""
         off = np.nan_to_num(np.linalg.norm(step_residuals(sequence), axis=1)) > self.threshold
         beside_inertia = np.nan_to_num(few_track_distances(sequence)) > self.threshold
         return start_new_tracks(

@@ -21,12 +21,12 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class LevelledVelocity:
-    """Take the third velocity component for what it is in a levelled recording, the climb rate."""
+class NavigationFrameVelocity:
+    """Take the third velocity component for what it is in a levelled recording, the vertical velocity."""
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Set the body's own vertical velocity to 0: a car does not move along its own z."""
         twist = sequence.twist.copy()
-        climb_rate = twist[:, 5].copy()
+        vertical_velocity = twist[:, 5].copy()
         twist[:, 5] = 0.0
-        return replace(sequence, twist=twist, climb_rate=climb_rate)
+        return replace(sequence, twist=twist, vertical_velocity=vertical_velocity)

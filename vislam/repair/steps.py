@@ -9,10 +9,10 @@ from pydantic.dataclasses import dataclass
 from vislam.base.fields import STRICT
 from vislam.core.sequence import Repair, Sequence
 from vislam.repair.consensus import Consensus
-from vislam.repair.inertial import Clock, LevelledVelocity
+from vislam.repair.inertial import Clock, NavigationFrameVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
-from vislam.repair.tracks import Interruptions, SingleSightings, StaleTracks, Thinning
+from vislam.repair.tracks import DuplicatedTracks, Interruptions, SingleObservations, Thinning
 
 Kind = TypeVar("Kind")
 
@@ -50,11 +50,11 @@ class RepairConfig:
     """Replace the stereo baseline."""
     clock: Switched[Clock] = None
     """Move the inertial stamps to the camera's clock."""
-    levelled_velocity: Switched[LevelledVelocity] = None
-    """Take the third velocity component for the climb rate."""
+    navigation_frame_velocity: Switched[NavigationFrameVelocity] = None
+    """Take the third velocity component for the vertical velocity."""
     disparity_offset: Switched[DisparityOffset] = None
     """Take a constant error out of all disparities."""
-    stale_tracks: Switched[StaleTracks] = StaleTracks()
+    duplicated_tracks: Switched[DuplicatedTracks] = DuplicatedTracks()
     """Start new landmarks in frames that repeat the pixels of the frame before."""
     disparity: Switched[Disparity] = Disparity()
     """Drop what cannot be a stereo observation, and tracks that start too far away."""
@@ -64,7 +64,7 @@ class RepairConfig:
     """Start a new landmark where a track leaves the rigid motion of the rest."""
     thinning: Switched[Thinning] = None
     """Keep one track in so many; the steps before have seen them all."""
-    single_sightings: Switched[SingleSightings] = SingleSightings()
+    single_observations: Switched[SingleObservations] = SingleObservations()
     """Drop tracks seen once only."""
 
 

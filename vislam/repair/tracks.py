@@ -12,29 +12,29 @@ from vislam.base.types import BoolArray, IntArray
 from vislam.core.sequence import Sequence
 
 MOST = 0.5
-"""A frame is stale when more than this share of the tracks that continue into it repeat their pixels."""
+"""A frame is duplicated when more than this share of the tracks that continue into it repeat their pixels."""
 _GRID_PX, _ON_GRID = 0.25, 0.02
 """Pixels are coarse when more than this share of them are multiples of so much; few of fine ones are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class StaleTracks:
+class DuplicatedTracks:
     """Start a new landmark wherever a track was re-detected.
 
-    In a stale frame the front end writes every surviving track with the pixels of the frame before
-    and follows another physical point from there on. The stale observation becomes the first of a
+    In a duplicated frame the front end writes every surviving track with the pixels of the frame before
+    and follows another physical point from there on. The duplicated observation becomes the first of a
     new track; new ids count up from the start of the recording, in order of first sight.
     """
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Cut the tracks there."""
-        stale_frame, repeats = stale_observations(sequence)
-        starts = repeats & stale_frame[sequence.frame_of]
+        duplicated_frame, repeats = duplicated_observations(sequence)
+        starts = repeats & duplicated_frame[sequence.frame_of]
         return start_new_tracks(
             sequence,
             starts,
-            stale_frames=int(stale_frame.sum()),
-            stale_cuts=int(starts.sum()),
+            duplicated_frames=int(duplicated_frame.sum()),
+            duplicated_cuts=int(starts.sum()),
             lone_repeats=int(repeats.sum() - starts.sum()),
         )
 
@@ -76,13 +76,13 @@ class Thinning:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class SingleSightings:
+class SingleObservations:
     """Drop tracks seen once only: they tell nothing about motion."""
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Drop them."""
         keep = sequence.seen_again()
-        return sequence.select(keep, dropped_single_sightings=int(np.sum(~keep)))
+        return sequence.select(keep, dropped_single_observations=int(np.sum(~keep)))
 
 
 def _remembered(sequence: Sequence, back: BoolArray, kept: int) -> BoolArray:
@@ -104,15 +104,15 @@ def _remembered(sequence: Sequence, back: BoolArray, kept: int) -> BoolArray:
     return out
 
 
-def stale_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
+def duplicated_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
     """Find observations that a re-detecting front end wrote with the pixels of the frame before.
 
-    Where pixels are rounded to a coarse grid, a camera at rest repeats them, too: there a frame is stale only
-    if most tracks move out of it, or moved into the one before, by more than the grid.
+    Where pixels are rounded to a coarse grid, a camera at rest repeats them, too: there a frame is duplicated
+    only if most tracks move out of it, or moved into the one before, by more than the grid.
 
     Returns
     -------
-    stale_frame : (T,)
+    duplicated_frame : (T,)
         Frames into which most of the continuing tracks repeat their pixels bit for bit.
     repeats : (n,)
         Observations, in any frame, that repeat their predecessor's pixels.
@@ -127,14 +127,14 @@ def stale_observations(sequence: Sequence) -> tuple[BoolArray, BoolArray]:
     repeats[order[1:]] = same_track & next_frame & same_pixels
     continuing = np.bincount(frame[continues], minlength=len(sequence))
     repeating = np.bincount(frame[repeats], minlength=len(sequence))
-    stale = (repeating > MOST * continuing) & (continuing > 0)
-    if stale.any() and np.mean(sequence.pixels % _GRID_PX == 0.0) > _ON_GRID:
+    duplicated = (repeating > MOST * continuing) & (continuing > 0)
+    if duplicated.any() and np.mean(sequence.pixels % _GRID_PX == 0.0) > _ON_GRID:
         moved = np.zeros(len(track), bool)
         step = np.abs(np.diff(sequence.pixels[order], axis=0)).max(axis=1)
         moved[order[1:]] = same_track & next_frame & (step > 2.0 * _GRID_PX)
         moving = np.bincount(frame[moved], minlength=len(sequence)) > MOST * continuing
-        stale &= np.append(moving[1:], False) | np.insert(moving[:-1], 0, False)
-    return stale, repeats
+        duplicated &= np.append(moving[1:], False) | np.insert(moving[:-1], 0, False)
+    return duplicated, repeats
 
 
 def start_new_tracks(sequence: Sequence, starts: BoolArray, **counts: int) -> Sequence:

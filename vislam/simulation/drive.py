@@ -25,7 +25,7 @@ class Truth:
     bias : (6,) or (T, 6)
         Bias of the inertial samples (omega, v) [rad/s, m/s]; at each frame if it walks.
     points_world : (n, 3)
-        The point that each observation of the unrepaired sequence saw [m]; a stale observation
+        The point that each observation of the unrepaired sequence saw [m]; a duplicated observation
         counts for the point that is followed from there on.
     """
 
@@ -90,7 +90,7 @@ def simulate(
         stamp=stamp,
         inertial_stamp=inertial_stamp,
         twist=twist,
-        climb_rate=np.full(len(twist), np.nan),
+        vertical_velocity=np.full(len(twist), np.nan),
         rig=_as_stored(config, rig),
         offset=tracks.offset,
         track=tracks.track,
@@ -124,8 +124,8 @@ def _sampled_twist(config: SimulationConfig, stamp: Array, path: BodyPath) -> Ar
     """Twist ``(T, 6)`` of the samples without bias and noise."""
     sampled_at = stamp - config.clock_offset
     twist = path.twist(sampled_at)
-    if config.levelled_velocity:
-        twist[:, 5] = path.climb_rate(sampled_at)
+    if config.navigation_frame_velocity:
+        twist[:, 5] = path.vertical_velocity(sampled_at)
     return twist
 
 
@@ -133,7 +133,7 @@ def _step_twist(config: SimulationConfig, stamp: Array, world_T_imu: Array) -> A
     """Mean twist ``(T - 1, 6)`` of the steps without bias and noise."""
     period = np.diff(stamp)[:, None]
     twist = se3.local(world_T_imu[:-1], world_T_imu[1:]) / period
-    if config.levelled_velocity:
+    if config.navigation_frame_velocity:
         twist[:, 5:] = np.diff(world_T_imu[:, 2:3, 3], axis=0) / period
     return twist
 

@@ -27,7 +27,7 @@ class BodyPath(Protocol):
         """Body twist ``(n, 6)`` (omega, v) [rad/s, m/s]."""
         ...
 
-    def climb_rate(self, time: Array) -> Array:
+    def vertical_velocity(self, time: Array) -> Array:
         """Rate of the height ``(n,)`` [m/s]."""
         ...
 
@@ -78,7 +78,7 @@ class DrivePath:
         """Body twist ``(n, 6)`` at times ``(n,)``, by central differences of the pose over 2 ms."""
         return central_twist(self.pose, time)
 
-    def climb_rate(self, time: Array) -> Array:
+    def vertical_velocity(self, time: Array) -> Array:
         """Rate of the height ``(n,)`` at times ``(n,)`` [m/s]."""
         half = 1e-3
         ends = [self._height(at, self._driven_at(at)[:, 2])[0] for at in (time - half, time + half)]
@@ -112,8 +112,8 @@ class DrivePath:
         phase = rate * self._progress(time, way)[:, None] + self._phases[4:6]
         share = np.array([0.5, 0.5])
         height = amplitude * (np.sin(phase) * share).sum(axis=1)
-        climb = amplitude * (np.cos(phase) * share * rate).sum(axis=1)
+        rise = amplitude * (np.cos(phase) * share * rate).sum(axis=1)
         if not self._shape.by_way:
-            return np.asarray(height), np.asarray(climb / self._speed(time))
+            return np.asarray(height), np.asarray(rise / self._speed(time))
         grade = self._shape.grade
-        return np.asarray(height + grade * way), np.asarray(climb / self._config.speed + grade)
+        return np.asarray(height + grade * way), np.asarray(rise / self._config.speed + grade)

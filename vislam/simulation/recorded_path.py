@@ -53,6 +53,6 @@ class RecordedPath:
         """Body twist ``(n, 6)`` at times ``(n,)``, by central differences of the pose."""
         return central_twist(self.pose, time)
 
-    def climb_rate(self, time: Array) -> Array:
+    def vertical_velocity(self, time: Array) -> Array:
         """Rate of the height ``(n,)`` at times ``(n,)`` [m/s]."""
         return np.asarray(self._rise(time)[:, 2])

@@ -81,8 +81,8 @@ class SimulationConfig:
     """Standard deviation of that number from frame to frame, as a share of it."""
     redetect_below: Positive | None = None
     """Number of tracks in view below which the front end re-detects in the next frame, but never twice on
-    end: that frame is stale, no track is lost in it, and tracks are born in it and in no other. Null: tracks
-    are born in every frame."""
+    end: that frame is duplicated, no track is lost in it, and tracks are born in it and in no other. Null:
+    tracks are born in every frame."""
     shortest_track: Annotated[int, Field(ge=1)] = 1
     """Tracks with fewer observations than this are not written."""
     loss_probability: Probability = 0.04
@@ -93,7 +93,7 @@ class SimulationConfig:
     landmarks: Literal["births", "field"] = "births"
     """What new tracks follow. ``births``: points of their own, anywhere in the image. ``field``: points of a
     fixed field of facades and ground along the way, which can be found again, so that one landmark can have
-    several tracks; after a stale frame a track follows a point of its own there too."""
+    several tracks; after a duplicated frame a track follows a point of its own there too."""
     field_per_metre: Positive = 10.0
     """Points of the field, in each metre of the way."""
     depth_min: Positive = 5.0
@@ -102,14 +102,14 @@ class SimulationConfig:
     """Farthest depth at which a track is born [m]."""
     pixel_sigma_px: NonNegative = 0.5
     """White noise of uL, vL, uR and vR [px]."""
-    match_px: NonNegative = 0.0
+    matching_bias_px: NonNegative = 0.0
     """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
-    match_share: NonNegative = 0.0
+    matching_bias_share: NonNegative = 0.0
     """More of that error, as a share of the disparity; Student-distributed with two degrees of freedom."""
     outlier_probability: Probability = 0.0
     """Chance that an observation is off by up to 50 px."""
-    stale_probability: Probability = 0.0
-    """Chance that a frame is stale: tracks repeat their pixels and follow other points afterwards."""
+    duplication_probability: Probability = 0.0
+    """Chance that a frame is duplicated: tracks repeat their pixels and follow other points afterwards."""
     dropped_probability: Probability = 0.0
     """Chance that a frame after the first comes without observations; tracks go on behind it."""
     gyro_bias: Vector3 = (0.0, 0.0, 0.0)
@@ -148,7 +148,7 @@ class SimulationConfig:
     """Share of the tracks that are born on vehicles driving along at another speed."""
     drift_px: NonNegative = 0.0
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
-    levelled_velocity: bool = False
+    navigation_frame_velocity: bool = False
     """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Stereo tracks of a simulated front end: births, losses, noise, wrong matches and stale frames."""
+"""Stereo tracks of a simulated front end: births, losses, noise, wrong matches and duplicated frames."""
 
 from dataclasses import dataclass, fields
 from typing import NamedTuple
@@ -88,28 +88,28 @@ def simulate_tracks(
     born, lengths = 0, []
     written: list[tuple[IntArray, Array, Array]] = []
     redetects, fewest = config.redetect_below is not None, config.redetect_below or 0.0
-    dropped = was_stale = False
+    dropped = was_duplicated = False
     for k, pose in enumerate(world_T_cam):
-        stale = k > 0 and len(alive.track) > 0 and generator.random() < config.stale_probability
-        stale = stale or (redetects and not was_stale and 0 < len(alive.track) < fewest)
+        duplicated = k > 0 and len(alive.track) > 0 and generator.random() < config.duplication_probability
+        duplicated = duplicated or (redetects and not was_duplicated and 0 < len(alive.track) < fewest)
         before, dropped = dropped, k > 0 and _happens(config.dropped_probability, generator)
         # What is not written is not repeated.
-        stale = stale and not (before or dropped)
-        chance = 0.0 if stale and redetects else config.loss_probability
+        duplicated = duplicated and not (before or dropped)
+        chance = 0.0 if duplicated and redetects else config.loss_probability
         alive.keep(generator.random(len(alive.track)) >= chance)
         alive.point = alive.point + config.period * alive.velocity
         alive.slip = alive.slip + config.drift_px * generator.standard_normal(alive.slip.shape)
-        if stale:
+        if duplicated:
             alive.landmark = np.full_like(alive.landmark, -1)
             alive.point = se3.transform(pose, rig.back_project(_triples(alive.pixels, alive.match)))
         else:
             alive.keep(in_view(config, rig, se3.transform(se3.inverse(pose), alive.point)))
             _follow(config, rig, pose, alive, generator)
-        births = stale or not redetects or len(alive.track) == 0
+        births = duplicated or not redetects or len(alive.track) == 0
         missing = _missing(config, len(alive.track), generator) if births else 0
         found = _find(config, rig, pose, field, taken=alive.landmark, count=missing, generator=generator)
         alive.add(_births(config, rig, pose, found, first=born, generator=generator))
-        born, was_stale = born + len(found.point), stale
+        born, was_duplicated = born + len(found.point), duplicated
         seen = slice(0 if dropped else None)
         lengths.append(len(alive.track[seen]))
         written.append((alive.track[seen], alive.pixels[seen], alive.point[seen]))
@@ -189,9 +189,9 @@ def _births(
     moving = generator.random(count) < config.moving_share
     speed = config.speed * generator.uniform(-1.0, 1.0, count)
     velocity = np.where(moving, speed, 0.0)[:, None] * pose[:3, 2]
-    match = config.match_px * generator.standard_normal(count) / found.disparity
-    if config.match_share > 0.0:
-        share = config.match_share * generator.standard_t(2.0, count)
+    match = config.matching_bias_px * generator.standard_normal(count) / found.disparity
+    if config.matching_bias_share > 0.0:
+        share = config.matching_bias_share * generator.standard_t(2.0, count)
         match = match + np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE)
     ids = first + np.arange(count)
     new = _Alive(

@@ -111,7 +111,7 @@ class EkfEstimator:
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
-    def match_errors(self) -> tuple[IntArray, Array, Array]:
+    def matching_biases(self) -> tuple[IntArray, Array, Array]:
         """Tracks that have ended, their match errors and the variances of these, ``(m,)`` each."""
         table = np.concatenate(self._matches)
         return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]

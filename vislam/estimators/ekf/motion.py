@@ -11,7 +11,13 @@ from typing import Protocol
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
+from vislam.core.estimator import (
+    FIRST_TWIST_S,
+    HEIGHT_SIGMA,
+    UNKNOWN_VERTICAL_VELOCITY,
+    Problem,
+    VerticalVelocityNoise,
+)
 from vislam.core.frame import Frame
 from vislam.estimators.ekf.layout import DISPARITY_OFFSET, NavLayout
 from vislam.geometry import se3, so3
@@ -90,14 +96,14 @@ class Motion(Protocol):
 
 
 class Height:
-    """The climb rate as a measurement of the height, where it is in use.
+    """The vertical velocity as a measurement of the height, where it is in use.
 
     Blocks: ``tilt`` (2), the turn of the true vertical against the world's z axis about x and y [rad], and
-    ``climb`` (1), the integrated climb rate [m].
+    ``height`` (1), the integrated vertical velocity [m].
     """
 
-    def __init__(self, climb: ClimbNoise | None) -> None:
-        self._noise = climb
+    def __init__(self, noise: VerticalVelocityNoise | None) -> None:
+        self._noise = noise
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use."""
@@ -105,19 +111,19 @@ class Height:
             return {}
         return {
             "tilt": Block(np.zeros(2), np.full(2, self._noise.tilt_sigma)),
-            "climb": Block(np.zeros(1), np.zeros(1)),
+            "height": Block(np.zeros(1), np.zeros(1)),
         }
 
     def propagate(self, layout: NavLayout, frame: Frame, change: Array, noise: Array) -> None:
-        """Integrate the climb rate into ``change`` and ``noise`` of a :class:`Propagation`."""
+        """Integrate the vertical velocity into ``change`` and ``noise`` of a :class:`Propagation`."""
         if self._noise is not None:
-            known, climb = np.isfinite(frame.odometry.climb_rate), layout["climb"]
-            change[climb] = frame.dt * frame.odometry.climb_rate if known else 0.0
+            known, height = np.isfinite(frame.odometry.vertical_velocity), layout["height"]
+            change[height] = frame.dt * frame.odometry.vertical_velocity if known else 0.0
             walk = frame.dt * self._noise.walk**2
-            noise[climb, climb] = walk if known else (frame.dt * UNKNOWN_CLIMB) ** 2
+            noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
 
     def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
-        """Tell that the pose is as high above the start as the climb rate has led."""
+        """Tell that the pose is as high above the start as the vertical velocity has led."""
         if self._noise is None:
             return []
         up, by_tilt = up_axis(nav[layout["tilt"]])
@@ -125,8 +131,8 @@ class Height:
         by_nav = np.zeros((1, layout.size))
         by_nav[0, 3:6] = up @ world_T_imu[:3, :3]
         by_nav[0, layout["tilt"]] = position @ by_tilt
-        by_nav[0, layout["climb"]] = -1.0
-        return [Measurement(nav[layout["climb"]] - up @ position, by_nav, np.array([HEIGHT_SIGMA**2]))]
+        by_nav[0, layout["height"]] = -1.0
+        return [Measurement(nav[layout["height"]] - up @ position, by_nav, np.array([HEIGHT_SIGMA**2]))]
 
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
         """Tell up by the tilt, where it is estimated."""
@@ -134,7 +140,7 @@ class Height:
 
 
 class OdometryMotion:
-    """The recorded twist less its bias (:mod:`vislam.models.odometry`), its clock, and the climb rate.
+    """The recorded twist less its bias (:mod:`vislam.models.odometry`), its clock, and the vertical velocity.
 
     Blocks: ``twist_bias`` (6) [rad/s, m/s]; ``clock`` (1), how much later the inertial stamps are than taken
     for [s], and ``direction`` (2), that of the velocity in the body [rad], where their priors are not zero;
@@ -143,7 +149,7 @@ class OdometryMotion:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._height = Height(problem.climb)
+        self._height = Height(problem.vertical_velocity)
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use."""
@@ -161,7 +167,7 @@ class OdometryMotion:
         return nav
 
     def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
-        """Integrate the twist less its bias, and the climb rate."""
+        """Integrate the twist less its bias, and the vertical velocity."""
         dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
         late = float(nav[layout["clock"]][0]) / dt if "clock" in layout else 0.0
@@ -226,7 +232,7 @@ class SmoothMotion(OdometryMotion):
         return nav
 
     def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
-        """Go on with the body's own twist; the bias walks, the climb rate is integrated."""
+        """Go on with the body's own twist; the bias walks, the vertical velocity is integrated."""
         dt, change = frame.dt, np.zeros(layout.size)
         twist, step, bias = layout["twist"], layout["step"], layout["twist_bias"]
         xi = dt * nav[twist]

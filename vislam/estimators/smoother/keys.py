@@ -2,9 +2,10 @@
 
 ``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end
 that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the body
-itself, where it is supposed to move smoothly, ``H(k)`` the height as the climb rate has led, and ``CLOCK``
-what is left of the clock offset, ``DIRECTION`` that of the velocity in the body, ``A(k)`` the anchor beside a
-pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark tells its depth.
+itself, where it is supposed to move smoothly, ``H(k)`` the height as the vertical velocity has led, and
+``CLOCK`` what is left of the clock offset, ``DIRECTION`` that of the velocity in the body, ``A(k)`` the
+anchor beside a pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark
+tells its depth.
 
 iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that moves by 1 m changes
 nothing; one at 5 m does. So the letter of a landmark is that of its depth, by half octaves, and each

@@ -13,7 +13,13 @@ import gtsam_unstable
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import FIRST_TWIST_S, HEIGHT_SIGMA, UNKNOWN_CLIMB, ClimbNoise, Problem
+from vislam.core.estimator import (
+    FIRST_TWIST_S,
+    HEIGHT_SIGMA,
+    UNKNOWN_VERTICAL_VELOCITY,
+    Problem,
+    VerticalVelocityNoise,
+)
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.keys import CLOCK, DIRECTION, B, H, V, W, X
@@ -58,13 +64,13 @@ class Motion(Protocol):
 
 
 class Height:
-    """The climb rate as a measurement of the height, where it is in use: ``H(k)``, whose z is the height.
+    """The vertical velocity as a measurement of the height ``H(k)``, which is its z, where it is in use.
 
     The world's z axis is up then, and the first pose is free to be tilted.
     """
 
-    def __init__(self, climb: ClimbNoise | None) -> None:
-        self._noise = climb
+    def __init__(self, noise: VerticalVelocityNoise | None) -> None:
+        self._noise = noise
         self._height = 0.0
 
     def first_pose_sigma(self, sigma: Array) -> Array:
@@ -84,16 +90,16 @@ class Height:
                 H(0), np.zeros(3), _sigmas([_UNUSED, _UNUSED, 1e-4])
             )
         else:
-            known = np.isfinite(frame.odometry.climb_rate)
-            spread = np.sqrt(frame.dt) * self._noise.walk if known else frame.dt * UNKNOWN_CLIMB
-            by = np.array([0.0, 0.0, frame.dt * frame.odometry.climb_rate if known else 0.0])
+            known = np.isfinite(frame.odometry.vertical_velocity)
+            spread = np.sqrt(frame.dt) * self._noise.walk if known else frame.dt * UNKNOWN_VERTICAL_VELOCITY
+            by = np.array([0.0, 0.0, frame.dt * frame.odometry.vertical_velocity if known else 0.0])
             rise = gtsam.BetweenFactorPoint3(H(k - 1), H(k), by, _sigmas([_UNUSED, _UNUSED, spread]))
         return [rise, gtsam_unstable.RelativeElevationFactor(X(k), H(k), 0.0, _sigmas([HEIGHT_SIGMA]))]
 
     def predict(self, frame: Frame) -> None:
-        """Integrate the climb rate."""
-        if np.isfinite(frame.odometry.climb_rate):
-            self._height += frame.dt * frame.odometry.climb_rate
+        """Integrate the vertical velocity."""
+        if np.isfinite(frame.odometry.vertical_velocity):
+            self._height += frame.dt * frame.odometry.vertical_velocity
 
     def insert(self, values: gtsam.Values, k: int) -> None:
         """Insert the height as predicted."""
@@ -106,7 +112,7 @@ class Height:
 
 
 class OdometryMotion:
-    """The recorded twist less its bias, its clock, and the climb rate, in the project's tangent order.
+    """The recorded twist less its bias, its clock, and the vertical velocity, in the project's tangent order.
 
     The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and
     n of covariance ``dt diag(density^2)``: :func:`vislam.models.odometry.integrate` with the noise told on
@@ -119,7 +125,8 @@ class OdometryMotion:
     is constant all along, the clock and the direction of the velocity in the body, stands in the prior of the
     bias and in its walk, linearly.
 
-    The climb rate enters by :class:`Height`; without it the first pose is the identity within its prior.
+    The vertical velocity enters by :class:`Height`; without it the first pose is the identity within its
+    prior.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -128,10 +135,10 @@ class OdometryMotion:
         self._bias = np.array(problem.bias_mean)
         self._twist = np.zeros(6)
         self._known = {key: np.zeros(len(sigma)) for key, sigma in self._constants.items()}
-        self._height = Height(problem.climb)
+        self._height = Height(problem.vertical_velocity)
 
     def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
-        """Priors, motion, walk of the bias, climb."""
+        """Priors, motion, walk of the bias, vertical velocity."""
         k, problem = frame.k, self._problem
         if before is None:
             return [_first_pose(problem, self._height), *self._height.factors(frame)]
@@ -146,7 +153,7 @@ class OdometryMotion:
         ]
 
     def predict(self, frame: Frame, pose: Array) -> Array:
-        """Integrate the twist less its bias, and the climb rate."""
+        """Integrate the twist less its bias, and the vertical velocity."""
         if frame.k == 0:
             return pose
         self._twist = self._recorded(frame) - self._bias
@@ -260,7 +267,7 @@ class SmoothMotion(OdometryMotion):
 
 
 class BetweenMotion:
-    """The recorded twist less a bias that is known, as one ``BetweenFactorPose3`` a step, and the climb rate.
+    """The recorded twist less a known bias, as one ``BetweenFactorPose3`` a step, and the vertical velocity.
 
     The step is :func:`vislam.models.odometry.integrate` with the prior's mean of the bias; there are no other
     variables than poses and heights. What the bias may be off by is nowhere in it, so that an error of the
@@ -270,10 +277,10 @@ class BetweenMotion:
     def __init__(self, problem: Problem) -> None:
         density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
         self._problem, self._noise = problem, replace(problem.noise, twist=density)
-        self._height = Height(problem.climb)
+        self._height = Height(problem.vertical_velocity)
 
     def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
-        """Prior of the first pose or motion, and climb."""
+        """Prior of the first pose or motion, and vertical velocity."""
         if before is None:
             return [_first_pose(self._problem, self._height), *self._height.factors(frame)]
         step = self._step(frame)
@@ -282,7 +289,7 @@ class BetweenMotion:
         return [motion, *self._height.factors(frame)]
 
     def predict(self, frame: Frame, pose: Array) -> Array:
-        """Integrate the twist less the bias, and the climb rate."""
+        """Integrate the twist less the bias, and the vertical velocity."""
         if frame.k == 0:
             return pose
         self._height.predict(frame)

@@ -30,7 +30,7 @@ class ReportedWorld:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self.tilted = problem.climb is not None
+        self.tilted = problem.vertical_velocity is not None
         self._prior = np.diag(np.square(problem.first_pose_sigma))
 
     def poses(self, first: Array, poses: Array) -> Array:
