@@ -252,7 +252,7 @@ def test_every_number_is_finite(value):
         name = path[-1]
         section[name] = {"a": [0, value]} if name == "ranges" else value
         found = []
-        for shaped in (section[name], [value] * 3, [value] * 6):
+        for shaped in (section[name], [value] * 2, [value] * 3, [value] * 6):
             section[name] = shaped
             with pytest.raises(ConfigError) as caught:
                 config.parse(kind, tree)

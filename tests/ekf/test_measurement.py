@@ -13,8 +13,10 @@ from vislam.models import StereoRig
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 N = 6
 both = pytest.mark.parametrize("kind", ["point", "disparity"])
-LAYOUT = NavLayout({"twist_bias": 6, "disparity_offset": 1})
+BLOCKS = {"camera_rotation": 3, "disparity_offset": 1, "principal_point": 2, "focal_scale": 1}
+LAYOUT = NavLayout({"twist_bias": 6, **BLOCKS})
 OFFSET = LAYOUT["disparity_offset"].start
+SHARED = LAYOUT["camera_rotation"].start
 
 
 class Scene:
@@ -23,21 +25,29 @@ class Scene:
     def __init__(self, kind: chart.Coordinates, rng: np.random.Generator) -> None:
         self.camera = Camera(RIG, chart.make(kind, RIG), LAYOUT)
         self.pose = se3.exp(rng.normal(size=6))
+        self.nav = np.zeros(LAYOUT.size)
+        self.nav[SHARED:] = rng.normal(0.0, [0.05, 0.05, 0.05, 0.7, 8.0, 8.0, 0.03])
+        self.errors = self.camera.errors(self.nav)
+        self.rig = self.errors.rig(RIG)
         points_cam = np.column_stack([rng.uniform(-5, 5, (N, 2)), rng.uniform(6, 30, N)])
-        self.points = se3.transform(self.pose @ RIG.imu_T_cam, points_cam)
-        first_z = RIG.project(points_cam)
+        self.points = se3.transform(self.pose @ self.rig.imu_T_cam, points_cam)
+        first_z = self.project(points_cam)
         self.first_z = first_z
         self.anchors, self.landmarks, self.by_nav, self.by_z = self.camera.initialise(
-            self.pose, first_z, offset=0.0
+            self.pose, self.nav, first_z
         )
         self.now = se3.retract(self.pose, np.array([0.02, -0.03, 0.05, 0.8, -0.1, 0.05]))
 
-    def predict(self, pose=None, landmarks=None, offset=0.0):
-        return self.view(pose, landmarks).measurement(offset)
+    def project(self, points_cam):
+        return self.rig.project(points_cam) + self.errors.offset
 
-    def view(self, pose=None, landmarks=None):
+    def predict(self, pose=None, landmarks=None, nav=None):
+        return self.view(pose, landmarks, nav).measurement()
+
+    def view(self, pose=None, landmarks=None, nav=None):
         return self.camera.view(
             self.now if pose is None else pose,
+            self.nav if nav is None else nav,
             self.anchors,
             self.landmarks if landmarks is None else landmarks,
         )
@@ -54,8 +64,8 @@ def slope(function, step=1e-6):
 
 @both
 def test_a_landmark_is_seen_where_its_point_projects(scene):
-    in_camera = se3.transform(se3.inverse(scene.now @ RIG.imu_T_cam), scene.points)
-    assert np.allclose(scene.predict(), RIG.project(in_camera))
+    in_camera = se3.transform(se3.inverse(scene.now @ scene.rig.imu_T_cam), scene.points)
+    assert np.allclose(scene.predict(), scene.project(in_camera))
     assert np.allclose(scene.view().depth, in_camera[:, 2])
     points, _ = scene.camera.chart.points(scene.landmarks[:, :3])
     assert np.allclose(
@@ -67,8 +77,9 @@ def test_a_landmark_is_seen_where_its_point_projects(scene):
 def test_match_error_and_offset_add_to_the_disparity(scene, rng):
     plain, landmarks = scene.predict(), scene.landmarks.copy()
     landmarks[:, 3] = rng.normal(0.0, 0.1, N)
-    z = scene.predict(landmarks=landmarks, offset=0.7)
-    expected = (1.0 + landmarks[:, 3]) * (plain[:, 0] - plain[:, 1]) + 0.7
+    z = scene.predict(landmarks=landmarks)
+    offset = scene.nav[OFFSET]
+    expected = (1.0 + landmarks[:, 3]) * (plain[:, 0] - plain[:, 1] - offset) + offset
     assert np.allclose(z[:, 0] - z[:, 1], expected)
     assert np.allclose(z[:, [0, 2]], plain[:, [0, 2]])
 
@@ -80,9 +91,11 @@ def test_jacobians_by_navigation_state_and_landmark(scene, rng):
     for axis, unit in enumerate(np.eye(6)):
         found = slope(lambda h, unit=unit: scene.predict(pose=se3.retract(scene.now, h * unit)))
         assert np.allclose(by_nav[:, :, axis], found, atol=1e-4)
-    assert np.allclose(by_nav[:, :, OFFSET], slope(lambda h: scene.predict(offset=h)), atol=1e-6)
-    others = [axis for axis in range(6, LAYOUT.size) if axis != OFFSET]
-    assert not by_nav[:, :, others].any()
+    for axis in range(SHARED, LAYOUT.size):
+        unit = np.eye(LAYOUT.size)[axis]
+        found = slope(lambda h, unit=unit: scene.predict(nav=scene.nav + h * unit))
+        assert np.allclose(by_nav[:, :, axis], found, rtol=1e-6, atol=1e-4)
+    assert not by_nav[:, :, LAYOUT["twist_bias"]].any()
     for axis, unit in enumerate(np.eye(4)):
         found = slope(lambda h, u=unit: scene.predict(landmarks=scene.landmarks + h * u))
         assert np.allclose(by_landmark[:, :, axis], found, atol=1e-4)
@@ -92,8 +105,8 @@ def test_jacobians_by_navigation_state_and_landmark(scene, rng):
 def test_initialisation_jacobians(scene):
     """With the anchor held: what a first sighting means in its coordinates."""
 
-    def coordinates(pose, z, offset=0.0):
-        anchors, landmarks, _, _ = scene.camera.initialise(pose, z, offset=offset)
+    def coordinates(pose, z, nav=scene.nav):
+        anchors, landmarks, _, _ = scene.camera.initialise(pose, nav, z)
         homogeneous = scene.camera.chart.homogeneous(landmarks[:, :3])
         moved = np.linalg.inv(scene.anchors) @ anchors @ homogeneous[:, :, None]
         return scene.camera.chart.coordinates(moved[:, :, 0])
@@ -103,8 +116,10 @@ def test_initialisation_jacobians(scene):
             lambda h, unit=unit: coordinates(se3.retract(scene.pose, h * unit), scene.first_z), 1e-5
         )
         assert np.allclose(scene.by_nav[:, :3, axis], found, rtol=1e-4, atol=1e-5)
-    found = slope(lambda h: coordinates(scene.pose, scene.first_z, h), 1e-5)
-    assert np.allclose(scene.by_nav[:, :3, OFFSET], found, rtol=1e-4, atol=1e-6)
+    for axis in range(SHARED, LAYOUT.size):
+        unit = np.eye(LAYOUT.size)[axis]
+        found = slope(lambda h, unit=unit: coordinates(scene.pose, scene.first_z, scene.nav + h * unit), 1e-5)
+        assert np.allclose(scene.by_nav[:, :3, axis], found, rtol=1e-4, atol=1e-5)
     for axis, unit in enumerate(np.eye(3)):
         found = slope(lambda h, unit=unit: coordinates(scene.pose, scene.first_z + h * unit), 1e-4)
         assert np.allclose(scene.by_z[:, :3, axis], found, rtol=1e-4, atol=1e-6)
@@ -114,8 +129,8 @@ def test_initialisation_jacobians(scene):
 def test_a_landmark_starts_with_the_point_that_a_match_error_would_mean(scene):
     share = 1e-6
     mended = scene.first_z.copy()
-    mended[:, 1] += share * (mended[:, 0] - mended[:, 1])
-    other = scene.camera.initialise(scene.pose, mended, offset=0.0)[1]
+    mended[:, 1] += share * (mended[:, 0] - mended[:, 1] - scene.nav[OFFSET])
+    other = scene.camera.initialise(scene.pose, scene.nav, mended)[1]
     assert np.allclose(scene.by_z[:, :3, 3], (other - scene.landmarks)[:, :3] / share, rtol=1e-4, atol=1e-4)
     assert np.all(scene.by_z[:, 3] == [0, 0, 0, 1])
 
@@ -141,7 +156,10 @@ def test_a_motion_of_the_anchor_moves_the_coordinates(scene):
 
 @both
 def test_what_pose_and_landmarks_share_cannot_be_seen(scene):
-    """A motion of the whole world changes no measurement: the directions nothing must be learnt about."""
+    """A motion of the whole world changes no measurement: the directions nothing must be learnt about.
+
+    Whatever the shared errors are: they have no part in it.
+    """
     by_nav, by_landmark = scene.view().jacobians()
     of_pose = se3.adjoint(se3.inverse(scene.now))
     moved = scene.camera.chart.moved(scene.landmarks[:, :3])

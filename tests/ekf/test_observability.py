@@ -1,8 +1,11 @@
 """What the filters believe to learn of where the world is: the consistent ones nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tests.shared_errors import every_shared_error
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions, observability
@@ -30,6 +33,17 @@ def test_only_the_standard_filter_gains_what_cannot_be_known(short, short_config
     for error in ("first_estimates", "invariant"):
         found = gained(short, short_config, landmarks=landmarks, error=error)
         assert np.all(found < NOTHING * standard)
+
+
+@pytest.mark.parametrize("landmarks", ["point", "disparity"])
+@pytest.mark.parametrize("walk", [0.0, 1e-3])
+def test_errors_that_all_tracks_share_change_nothing_of_it(short, short_config, landmarks, walk):
+    """With all of them estimated: a motion of the world leaves them as they are."""
+    config = replace(short_config, noise=replace(short_config.noise, **every_shared_error(walk)))
+    standard = gained(short, config, landmarks=landmarks)
+    assert np.all(standard > 1.0)
+    for error in ("first_estimates", "invariant"):
+        assert np.all(gained(short, config, landmarks=landmarks, error=error) < NOTHING * standard)
 
 
 @pytest.mark.parametrize("error", ["first_estimates", "invariant"])

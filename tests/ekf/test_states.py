@@ -172,7 +172,7 @@ def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config:
         correction = update.correction
         there = se3.retract(state.world_T_imu, correction[:6])
         landmarks = state.landmarks + correction[state.layout.size :].reshape(-1, 4)
-        predicted = estimator._camera.view(there, state.anchors, landmarks).measurement(offset=0.0)
+        predicted = estimator._camera.view(there, state.nav, state.anchors, landmarks).measurement()
         left = (seen.pop() - predicted).reshape(-1) / np.tile(problem.track_noise.sigma**2, len(predicted))
         pull = update.jacobian.transposed_times(left[:, None], size=len(state.cov))
         scale = np.sqrt(np.diagonal(state.cov)) + 1e-12

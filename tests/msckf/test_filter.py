@@ -113,6 +113,9 @@ BLOCKS = {
     "clock": {"clock_sigma": 0.02},
     "direction": {"velocity_direction_sigma": 0.01},
     "offset": {"disparity_offset_sigma_px": 0.3},
+    "camera rotation": {"camera_rotation_sigma": 0.003},
+    "principal point": {"principal_point_sigma_px": 2.0},
+    "focal scale": {"focal_scale_sigma": 0.002},
 }
 
 

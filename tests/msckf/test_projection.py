@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import RIG
+from vislam.estimators.ekf import chart
 from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.msckf import projection
 from vislam.estimators.msckf.pending import Packed
 from vislam.estimators.msckf.projection import Constraints, eliminate
@@ -14,10 +16,10 @@ from vislam.geometry import se3
 STEP = 1e-6
 
 
-def project(world_T_imu, points):
+def project(world_T_imu, points, rig=RIG):
     """Observations of points ``(n, 3)`` from poses ``(n, V, 4, 4)``."""
-    in_cam = se3.transform(se3.inverse(world_T_imu @ RIG.imu_T_cam), points[:, None, None])[:, :, 0]
-    return RIG.project(in_cam)
+    in_cam = se3.transform(se3.inverse(world_T_imu @ rig.imu_T_cam), points[:, None, None])[:, :, 0]
+    return rig.project(in_cam)
 
 
 def views(rng, n=4, count=5):
@@ -43,11 +45,17 @@ def test_jacobians_are_the_finite_differences(rng):
     assert np.allclose(by_point, central(lambda step: project(poses, points + step), 3), rtol=1e-6, atol=1e-4)
 
 
-def window_of(poses, *, form="standard", offset=0.0):
-    blocks = {"twist_bias": 6, "disparity_offset": 1}
-    layout = NavLayout(blocks)
+BLOCKS = {"camera_rotation": 3, "disparity_offset": 1, "principal_point": 2, "focal_scale": 1}
+LAYOUT = NavLayout({"twist_bias": 6, **BLOCKS})
+CAMERA = Camera(RIG, chart.make("point", RIG), LAYOUT)
+SHARED = np.array([0.02, -0.01, 0.015, 0.3, 2.0, -3.0, 0.01])
+
+
+def window_of(poses, *, form="standard", shared=None):
+    layout = LAYOUT
     nav = np.zeros(layout.size)
-    nav[layout["disparity_offset"]] = offset
+    if shared is not None:
+        nav[layout["camera_rotation"].start :] = shared
     window = Window(layout, form, nav=nav, sigma=np.full(layout.size, 0.1))
     for _ in range(len(poses) - 1):
         window.clone()
@@ -64,20 +72,22 @@ def packed(z, seen=None):
     return Packed(np.arange(n), seen, frame, z.copy(), np.broadcast_to(sigma, z.shape).copy())
 
 
-def test_the_linearised_residual_follows_the_poses_and_the_offset(rng):
+def test_the_linearised_residual_follows_the_poses_and_the_shared_errors(rng):
     """The projected residual is a function of the state alone: it moves by minus H_o times an error."""
     poses, points = views(rng, n=1)
-    window = window_of(poses[0], offset=0.3)
-    z = project(poses, points) - [0.0, 0.3, 0.0]
+    window = window_of(poses[0], shared=SHARED)
+    errors = CAMERA.errors(window.nav)
+    z = project(poses, points, errors.rig(RIG)) + errors.offset
+    first = LAYOUT["camera_rotation"].start
     one = np.ones((1, 5))
 
     def residual(error):
-        moved = window_of(poses[0], offset=0.3 + error[window.layout["disparity_offset"]][0])
+        moved = window_of(poses[0], shared=SHARED + error[first : LAYOUT.size])
         moved.poses = se3.retract(moved.poses, error[moved.columns[:, None] + np.arange(6)])
-        found = projection.linearise(RIG, moved, packed(z))
+        found = projection.linearise(CAMERA, moved, packed(z))
         return eliminate(found, one).residual[0, 3:]
 
-    exact = projection.linearise(RIG, window, packed(z))
+    exact = projection.linearise(CAMERA, window, packed(z))
     assert np.abs(exact.residual).max() < 1e-6
     assert np.allclose(exact.points_world, points, atol=1e-6)
     by_state = eliminate(exact, one).by_state[0, 3:]
@@ -142,8 +152,8 @@ def test_observations_that_are_not_there_say_nothing(rng):
     seen = np.array([[True] * 5, [True] * 3 + [False] * 2])
     z = project(np.broadcast_to(poses[:1], poses.shape), points) + rng.normal(0.0, 0.5, (2, 5, 3))
     window = window_of(poses[0])
-    both = eliminate(projection.linearise(RIG, window, packed(z, seen)), seen.astype(float))
-    short = eliminate(projection.linearise(RIG, window, packed(z[1:, :3])), np.ones((1, 3)))
+    both = eliminate(projection.linearise(CAMERA, window, packed(z, seen)), seen.astype(float))
+    short = eliminate(projection.linearise(CAMERA, window, packed(z[1:, :3])), np.ones((1, 3)))
     assert np.allclose(both.by_state[1, 3:9], short.by_state[0, 3:], atol=1e-9)
     assert not both.by_state[1, 9:].any()
     assert not both.residual[1, 9:].any()
@@ -160,7 +170,7 @@ def test_a_motion_of_the_world_is_not_seen(form, rng):
     window.directions = np.zeros((len(window.cov), 6))
     for pose, column in zip(window.linearised_at, window.columns, strict=True):
         window.directions[column : column + 6] = se3.adjoint(se3.inverse(pose))
-    found = eliminate(projection.linearise(RIG, window, packed(project(poses, points))), np.ones((1, 4)))
+    found = eliminate(projection.linearise(CAMERA, window, packed(project(poses, points))), np.ones((1, 4)))
     seen = found.by_state[0, 3:] @ window.directions
     assert np.abs(seen).max() < 1e-9 * np.abs(found.by_state).max()
 
@@ -169,6 +179,6 @@ def test_a_track_without_a_depth_is_not_solved(rng):
     poses, points = views(rng, n=2, count=3)
     z = project(np.broadcast_to(poses[:1], poses.shape), points)
     z[1, :, 1] = z[1, :, 0] + [0.0, 3.0, 1.0]
-    found = projection.linearise(RIG, window_of(poses[0]), packed(z))
+    found = projection.linearise(CAMERA, window_of(poses[0]), packed(z))
     assert found.solved.tolist() == [True, False]
     assert np.isfinite(found.by_state).all()

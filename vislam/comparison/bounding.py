@@ -31,11 +31,14 @@ _NONE = {
             "navigation_frame_velocity",
             "redetect_below",
         ),
-        "stated_baseline",
+        *("stated_baseline", "camera_rotation", "principal_point_px", "focal_scale", "camera_rotation_sigma"),
+        *("disparity_offset_sigma_px", "principal_point_sigma_px", "focal_scale_sigma", "clock_sigma"),
+        "velocity_direction_sigma",
     ),
     "noise": (
         *("drift_px", "matching_bias_px", "clock_sigma", "disparity_offset_sigma_px", "vertical_velocity"),
-        "acceleration_density",
+        *("acceleration_density", "camera_rotation_sigma", "principal_point_sigma_px", "focal_scale_sigma"),
+        "velocity_direction_sigma",
     ),
 }
 """What a sequence with a bound has none of, by section."""

@@ -342,9 +342,13 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         bias_sigma=np.array(noise.bias_sigma),
         track_noise=_track_noise(config),
         gate_probability=config.gate_probability,
-        clock_sigma=noise.clock_sigma,
+        camera_rotation_sigma=noise.camera_rotation_sigma,
         disparity_offset_sigma=noise.disparity_offset_sigma_px,
-        direction_sigma=noise.velocity_direction_sigma,
+        principal_point_sigma=noise.principal_point_sigma_px,
+        focal_scale_sigma=noise.focal_scale_sigma,
+        clock_sigma=noise.clock_sigma,
+        velocity_direction_sigma=noise.velocity_direction_sigma,
+        shared_walk=noise.shared_walk.densities(),
         vertical_velocity=None
         if noise.vertical_velocity is None
         else VerticalVelocityNoise(noise.vertical_velocity.walk, noise.vertical_velocity.tilt_sigma),

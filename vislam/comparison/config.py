@@ -1,7 +1,7 @@
 """The configuration: a frozen tree of dataclasses, loaded from YAML once, every default a value."""
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +13,7 @@ from vislam.base.settings import OTHER, Remark, Title, dump, inline, parse, put,
 from vislam.checks.settings import Check
 from vislam.datasets.registry import OWN, formats
 from vislam.datasets.settings import ClementMat, CourseNpy, CourseNpz, Kitti00, ReferenceConfig, TracksNpz
+from vislam.models import shared_errors
 from vislam.repair import RepairConfig
 from vislam.simulation.settings import SimulationConfig
 
@@ -26,6 +27,7 @@ __all__ = [
     "OtherSource",
     "PackagedConfig",
     "RedrawConfig",
+    "SharedWalkConfig",
     "SimulationSource",
     "Six",
     "Source",
@@ -232,6 +234,28 @@ class VerticalVelocityConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SharedWalkConfig:
+    """Random walks of the errors that all tracks share; 0: that one is constant."""
+
+    camera_rotation: NonNegative = 0.0
+    """Of the rotation of the cameras [rad/sqrt(s)]."""
+    disparity_offset: NonNegative = 0.0
+    """Of the error of all disparities [px/sqrt(s)]."""
+    principal_point: NonNegative = 0.0
+    """Of the principal point [px/sqrt(s)]."""
+    focal_scale: NonNegative = 0.0
+    """Of the scale of the focal lengths [1/sqrt(s)]."""
+    clock: NonNegative = 0.0
+    """Of the clock offset [s/sqrt(s)]."""
+    velocity_direction: NonNegative = 0.0
+    """Of the direction of the velocity [rad/sqrt(s)]."""
+
+    def densities(self) -> dict[str, float]:
+        """Those that walk, by name."""
+        return {name: value for name, value in asdict(self).items() if value > 0.0}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class NoiseConfig:
     """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
 
@@ -263,8 +287,23 @@ class NoiseConfig:
     the last two of ``bias_sigma`` and ``bias_walk`` what is left at standstill only."""
     disparity_offset_sigma_px: NonNegative = 0.0
     """The same of a constant error of all disparities after ``repair.disparity_offset`` [px]."""
+    camera_rotation_sigma: NonNegative = 0.0
+    """The same of a rotation of the cameras against the body, about each of its axes [rad]."""
+    principal_point_sigma_px: NonNegative = 0.0
+    """The same of the principal point, of its column and of its row, which both images share [px]."""
+    focal_scale_sigma: NonNegative = 0.0
+    """The same of the share by which both focal lengths are longer than stated."""
+    shared_walk: SharedWalkConfig = SharedWalkConfig()
+    """How these six walk."""
     vertical_velocity: VerticalVelocityConfig | None = None
     """How the vertical velocity is used; null: it is not."""
+
+    def __post_init__(self) -> None:
+        """Refuse a walk of what is taken for known."""
+        for name in self.shared_walk.densities():
+            prior = shared_errors.prior_name(name)
+            if getattr(self, prior) == 0.0:
+                raise ValueError(f"shared_walk.{name}: {prior} is 0, so that it is known; give it a prior")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

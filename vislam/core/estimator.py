@@ -3,8 +3,8 @@
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
@@ -16,7 +16,7 @@ from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.lagged import Lags
 from vislam.core.step import Final, Step
-from vislam.models import Kernel, StereoRig, TrackNoise
+from vislam.models import Kernel, SharedPrior, StereoRig, TrackNoise, shared_errors
 from vislam.models.odometry import MotionNoise
 
 GROUP = "vislam.estimators"
@@ -63,15 +63,14 @@ class Problem:
         What the pixels of a track are off by.
     gate_probability : float
         Share of good observations that a chi-square gate lets pass; 1: there is to be no gate.
-    clock_sigma : float
-        Prior standard deviation of the inertial stamps' further offset from the camera's [s]; 0: known.
-    disparity_offset_sigma : float
-        Prior standard deviation of a constant error of all disparities [px]; 0: known.
+    camera_rotation_sigma, disparity_offset_sigma, principal_point_sigma, focal_scale_sigma, clock_sigma, \
+    velocity_direction_sigma : float
+        Prior standard deviations of the errors that all tracks share (:mod:`vislam.models.shared_errors`)
+        [rad, px, px, 1, s, rad]; 0: known.
+    shared_walk : mapping of str to float
+        Densities of their random walks, by name [unit/sqrt(s)]; those that are not there are constant.
     vertical_velocity : VerticalVelocityNoise or None
         None: the vertical velocity is not used.
-    direction_sigma : float
-        Prior standard deviation of the direction of the recorded velocity in the body, to the left and up
-        [rad]; 0: it is known.
     kernel : Kernel or None
         Robust kernel of the stereo observations, on residuals whitened by their noise; None: they are
         Gaussian.
@@ -89,13 +88,41 @@ class Problem:
     bias_sigma: Array
     track_noise: TrackNoise
     gate_probability: float
-    clock_sigma: float = 0.0
+    camera_rotation_sigma: float = 0.0
     disparity_offset_sigma: float = 0.0
+    principal_point_sigma: float = 0.0
+    focal_scale_sigma: float = 0.0
+    clock_sigma: float = 0.0
+    velocity_direction_sigma: float = 0.0
+    shared_walk: Mapping[str, float] = field(default_factory=dict)
     vertical_velocity: VerticalVelocityNoise | None = None
-    direction_sigma: float = 0.0
     kernel: Kernel | None = None
     lags: Lags | None = None
     kept: int = 0
+
+    def shared(self) -> dict[str, SharedPrior]:
+        """Errors that all tracks share and that are not known, with their priors, by name."""
+        priors = {
+            name: SharedPrior(getattr(self, f"{name}_sigma"), self.shared_walk.get(name, 0.0))
+            for name in shared_errors.SIZES
+        }
+        return {name: prior for name, prior in priors.items() if prior.sigma > 0.0}
+
+
+def shared_information(problem: Problem, *, estimated: Container[str]) -> dict[str, str]:
+    """How an estimator says that it takes the errors that all tracks share, those that are not known.
+
+    Parameters
+    ----------
+    problem : Problem
+    estimated : container of str
+        Names of those that it estimates.
+    """
+    found = {}
+    for name, prior in problem.shared().items():
+        model = "estimated" if prior.walk == 0.0 else "estimated, walking"
+        found[name.replace("_", " ")] = model if name in estimated else "taken for known"
+    return found
 
 
 class Estimator(Protocol):

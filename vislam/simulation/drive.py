@@ -9,10 +9,21 @@ from vislam.base.types import Array
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.geometry.axes import axes_rotation
-from vislam.models import CAMERA_AXES, StereoRig
+from vislam.models import CAMERA_AXES, CameraErrors, StereoRig, odometry
+from vislam.models.shared_errors import (
+    CAMERA_ROTATION,
+    CLOCK,
+    DISPARITY_OFFSET,
+    FOCAL_SCALE,
+    PRINCIPAL_POINT,
+    VELOCITY_DIRECTION,
+)
 from vislam.simulation.path import BodyPath, DrivePath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks
+
+_SHARED = 1
+"""Of the generator of the shared errors: what they are draws nothing from that of the rest."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +38,14 @@ class Truth:
     points_world : (n, 3)
         The point that each observation of the unrepaired sequence saw [m]; a duplicated observation
         counts for the point that is followed from there on.
+    shared : dict of str to (m,)
+        What the sequence has of the errors that all tracks share (:mod:`vislam.models.shared_errors`).
     """
 
     world_T_imu: Array
     bias: Array
     points_world: Array
+    shared: dict[str, Array]
 
 
 def simulate(
@@ -61,6 +75,8 @@ def simulate(
         If the config names a recorded path and none is given.
     """
     generator = np.random.default_rng(seed)
+    shared = _shared(config, np.random.default_rng([seed, _SHARED]))
+    config = replace(config, clock_offset=float(shared[CLOCK][0]))
     if path is None:
         if config.recorded is not None:
             raise ValueError("path: recorded needs the poses: see vislam.comparison.simulated")
@@ -75,10 +91,18 @@ def simulate(
     clean = _step_twist(config, stamp, world_T_imu) if by_step else _sampled_twist(config, stamp, path)
     sigma = np.repeat([config.gyro_sigma, config.velocity_sigma], 3)
     noise = sigma * generator.standard_normal(clean.shape)
-    tracks = simulate_tracks(config, rig, world_T_imu @ rig.imu_T_cam, generator)
+    errors = CameraErrors.of(shared)
+    actual = errors.rig(rig)
+    tracks = simulate_tracks(
+        replace(config, disparity_offset_px=errors.disparity_offset),
+        actual,
+        world_T_imu @ actual.imu_T_cam,
+        generator,
+    )
     # Drawn last, so that a walk changes nothing but the bias.
     bias = _bias(config, generator)
     twist = clean + (bias if bias.ndim == 1 else bias[: len(clean)]) + noise
+    twist = twist + twist[:, 3:4] * (odometry.ACROSS @ shared[VELOCITY_DIRECTION])
     inertial_stamp = stamp
     if by_step:
         inertial_stamp, twist = piecewise_constant(stamp, twist)
@@ -104,7 +128,23 @@ def simulate(
             "observations_read": len(tracks.track),
         },
     )
-    return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world))
+    return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world), shared)
+
+
+def _shared(config: SimulationConfig, generator: np.random.Generator) -> dict[str, Array]:
+    """Errors that all tracks share, with what the seed adds to them, by name."""
+    stated = {
+        CAMERA_ROTATION: (config.camera_rotation, config.camera_rotation_sigma),
+        DISPARITY_OFFSET: ((config.disparity_offset_px,), config.disparity_offset_sigma_px),
+        PRINCIPAL_POINT: (config.principal_point_px, config.principal_point_sigma_px),
+        FOCAL_SCALE: ((config.focal_scale,), config.focal_scale_sigma),
+        CLOCK: ((config.clock_offset,), config.clock_sigma),
+        VELOCITY_DIRECTION: (config.velocity_direction, config.velocity_direction_sigma),
+    }
+    return {
+        name: np.array(value) + sigma * generator.standard_normal(len(value))
+        for name, (value, sigma) in stated.items()
+    }
 
 
 def _bias(config: SimulationConfig, generator: np.random.Generator) -> Array:

@@ -144,6 +144,26 @@ class SimulationConfig:
     """Baseline that the file states in place of the true one [m]."""
     disparity_offset_px: float = 0.0
     """Constant error of all disparities [px]."""
+    camera_rotation: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation of the cameras against the body that the stated mounting does not know of [rad]."""
+    principal_point_px: tuple[float, float] = (0.0, 0.0)
+    """What the stated principal point is off by: all columns and all rows are larger by it [px]."""
+    focal_scale: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    """Share by which both focal lengths are longer than stated."""
+    velocity_direction: tuple[float, float] = (0.0, 0.0)
+    """Direction of the recorded velocity in the body, to the left and up [rad]."""
+    camera_rotation_sigma: NonNegative = 0.0
+    """Standard deviation of what each seed adds to each of these [rad]."""
+    disparity_offset_sigma_px: NonNegative = 0.0
+    """The same of the error of all disparities [px]."""
+    principal_point_sigma_px: NonNegative = 0.0
+    """The same of the principal point [px]."""
+    focal_scale_sigma: NonNegative = 0.0
+    """The same of the scale of the focal lengths."""
+    clock_sigma: NonNegative = 0.0
+    """The same of the clock offset [s]."""
+    velocity_direction_sigma: NonNegative = 0.0
+    """The same of the direction of the velocity [rad]."""
     moving_share: Probability = 0.0
     """Share of the tracks that are born on vehicles driving along at another speed."""
     drift_px: NonNegative = 0.0

@@ -51,6 +51,7 @@ class DenseFilter:
         self._form = error
         self._keep_poses = keep_poses
         self.world_T_imu = np.eye(4)
+        self._nav = np.zeros(NAV)
         self.bias = problem.bias_mean.copy()
         self.track: list[int] = []
         self.anchors = np.empty((0, 4, 4))
@@ -95,7 +96,9 @@ class DenseFilter:
     def _drift(self, frame: Frame, rows: Sequence[int]) -> None:
         """Let the points of the tracks in view walk, column and row."""
         for slot in self._slots(frame, rows):
-            view = self._camera.view(self.world_T_imu, self.anchors[[slot]], self.landmarks[[slot]])
+            view = self._camera.view(
+                self.world_T_imu, self._nav, self.anchors[[slot]], self.landmarks[[slot]]
+            )
             step = view.drift_cov(self._problem.track_noise.drift)
             start = self.place["landmark", self.track[slot]].start
             self.cov[start : start + 3, start : start + 3] += step[0]
@@ -104,10 +107,10 @@ class DenseFilter:
         """Eqs. (28) and (29), with the sign and the inverse that eq. (26) lacks."""
         slots = self._slots(frame, rows)
         anchors, landmarks = self.anchors[slots], self.landmarks[slots]
-        predicted = self._camera.view(self.world_T_imu, anchors, landmarks).measurement(offset=0.0)
+        predicted = self._camera.view(self.world_T_imu, self._nav, anchors, landmarks).measurement()
         if self._form == "first_estimates":
             landmarks = np.column_stack([self._first[slots, :3], landmarks[:, 3]])
-        by_nav, by_landmark = self._camera.view(self.world_T_imu, anchors, landmarks).jacobians()
+        by_nav, by_landmark = self._camera.view(self.world_T_imu, self._nav, anchors, landmarks).jacobians()
         jacobian = np.zeros((3 * len(rows), len(self.cov)))
         for i, slot in enumerate(slots):
             three = slice(3 * i, 3 * i + 3)
@@ -125,7 +128,7 @@ class DenseFilter:
     def _append(self, frame: Frame, row: int) -> None:
         """Append the landmark of eq. (20), its covariance that of pose and measurement."""
         z, noise = frame.stereo.z[[row]], self._problem.track_noise
-        anchors, landmarks, by_nav, by_measurement = self._camera.initialise(self.world_T_imu, z, offset=0.0)
+        anchors, landmarks, by_nav, by_measurement = self._camera.initialise(self.world_T_imu, self._nav, z)
         variance = np.concatenate([noise.sigma, noise.match_sigma(z[:, 0] - z[:, 1])]) ** 2
         grow = np.zeros((LANDMARK, len(self.cov)))
         grow[:, POSE] = by_nav[0][:, POSE]

@@ -7,19 +7,19 @@ from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core import trajectory
-from vislam.core.estimator import Problem
+from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
-from vislam.core.step import TWIST_BIAS, Final, State, Step
+from vislam.core.step import Final, Step
 from vislam.estimators.ekf import backward, chart, motion
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
-from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK
+from vislam.estimators.ekf.layout import LANDMARK
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.reweighting import student_weights
-from vislam.estimators.ekf.state import JointState
+from vislam.estimators.ekf.state import JointState, states_of
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.kernel import kernel_name
@@ -62,6 +62,7 @@ class EkfEstimator:
             "noise of the tracks": "independent" if self._independent else "drift and match error as states",
             "kernel": kernel_name(problem.kernel),
             "twist bias": "estimated",
+            **shared_information(problem, estimated=list(layout)),
         }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []
@@ -132,7 +133,7 @@ class EkfEstimator:
         else:
             state.predict(self._motion.propagate(self._layout, state.nav, frame))
         told = self._measure(state, frame)
-        view = self._camera.view(state.world_T_imu, state.anchors[slots], state.landmarks[slots])
+        view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         if self._track_noise.drift > 0.0:
             state.wander(slots, view.drift_cov(self._track_noise.drift))
         fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
@@ -144,14 +145,14 @@ class EkfEstimator:
         used, all_gated = new, np.zeros(len(frame.stereo.track), bool)
         used[rows[fused]] = True
         all_gated[rows[gated]] = True
-        dof, bias = 3 * int(fused.sum()), self._layout[TWIST_BIAS]
+        dof = 3 * int(fused.sum())
         # Weighted innovations are no chi-square numbers, nor is their density a Gaussian's.
         gaussian = self._problem.kernel is None
         nis, density = (0.0, 0.0) if update is None else (update.nis, _log_density(update, dof))
         return Step(
             pose=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
-            states={TWIST_BIAS: State(state.nav[bias].copy(), np.sqrt(np.diagonal(state.cov)[bias]))},
+            states=states_of(self._layout, state.nav, state.cov),
             nis=nis if gaussian else 0.0,
             dof=dof if gaussian else 0,
             log_likelihood=told + density if gaussian else float("nan"),
@@ -200,7 +201,8 @@ class EkfEstimator:
             correction = update.correction
             there = se3.retract(state.world_T_imu, correction[POSE])
             landmarks = state.landmarks + correction[self._layout.size :].reshape(-1, LANDMARK)
-            view = self._camera.view(there, state.anchors[slots], landmarks[slots])
+            nav = state.nav + correction[: self._layout.size]
+            view = self._camera.view(there, nav, state.anchors[slots], landmarks[slots])
             if not (view.depth[good] > self._nearest).all():
                 break
             innovation = self._linearise(state, view, z, slots, correction=correction)
@@ -219,17 +221,13 @@ class EkfEstimator:
         seen_from = view
         if state.form == "first_estimates":
             first = state.linearised_at[slots]
-            seen_from = self._camera.view(state.world_T_imu, state.anchors[slots], first)
+            seen_from = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], first)
         by_nav, by_landmark = seen_from.jacobians()
         some = slots if len(slots) < len(state.track) else None
         jacobian = Jacobian(by_nav.reshape(-1, self._layout.size), by_landmark, some)
-        if correction is None:
-            value = (z - view.measurement(self._offset(state.nav))).reshape(-1)
-        else:
+        value = (z - view.measurement()).reshape(-1)
+        if correction is not None:
             by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
-            value = (z - view.measurement(self._offset(state.nav + correction[: self._layout.size]))).reshape(
-                -1
-            )
             value += jacobian.times(correction[:, None])[:, 0]
         projected = jacobian.times(state.cov)
         return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
@@ -263,16 +261,12 @@ class EkfEstimator:
             density += _log_density(update, len(found.innovation))
         return density
 
-    def _offset(self, nav: Array) -> float:
-        """How much too large all disparities are in a navigation state [px]."""
-        return float(nav[self._layout[DISPARITY_OFFSET]][0]) if DISPARITY_OFFSET in self._layout else 0.0
-
     def _initialise(self, state: JointState, frame: Frame, new: BoolArray) -> None:
         if not new.any():
             return
         rows = np.flatnonzero(new)
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(
-            state.world_T_imu, frame.stereo.z[rows], offset=self._offset(state.nav)
+            state.world_T_imu, state.nav, frame.stereo.z[rows]
         )
         match = self._track_noise.match_sigma(frame.stereo.z[rows, 0] - frame.stereo.z[rows, 1])
         variance = np.column_stack([self._variance(frame, rows), match**2])

@@ -6,8 +6,6 @@ from vislam.models.odometry import POSE
 
 LANDMARK = 4
 """Size of a landmark: three coordinates, and the error of its match (``vislam.models.track_noise``)."""
-DISPARITY_OFFSET = "disparity_offset"
-"""Block of how much too large all disparities are [px]."""
 
 
 class NavLayout:

@@ -6,7 +6,18 @@ point ``h = (x, y, z, w)`` in the left camera, homogeneous,
 
     uL = fx x / z + cx,    v = fy y / z + cy,    uL - uR = (1 + e) fx b w / z + o,
 
-o being the constant error of all disparities. Nothing here divides by w: points at infinity are welcome.
+o being the error of all disparities; the other errors that all tracks share (rotation of the cameras,
+principal point, focal scale; :mod:`vislam.models.shared_errors`) are in the mounting and in fx, fy, cx, cy.
+Nothing here divides by w: points at infinity are welcome.
+
+A landmark's anchor is the camera as estimated at its first observation, and stays there; the chart is that of
+the stated rig. Of shared errors its coordinates know by that observation alone: with ``z = h(nav, q)``,
+
+    dq / dnav = -(dh / dq)^-1 dh / dnav,
+
+the anchor held. As a rotation of the cameras is to them a rotation of the body, its column in every Jacobian
+is that of the rotation of the pose times ``J_l(psi)``. Neither pose nor landmarks have part in an error that
+is shared, so a motion of the world, which changes no observation whatever these errors are, leaves them.
 """
 
 from dataclasses import dataclass
@@ -15,10 +26,11 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.estimators.ekf.chart import Chart
-from vislam.estimators.ekf.layout import DISPARITY_OFFSET, LANDMARK, NavLayout
+from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.geometry import se3, so3
-from vislam.models import StereoRig
+from vislam.models import CameraErrors, StereoRig
 from vislam.models.odometry import POSE
+from vislam.models.shared_errors import CAMERA_ROTATION, OF_CAMERA, OF_PIXELS
 
 _FARTHEST = 1e-9
 """Smallest w that a depth is taken of: what is farther, or beyond infinity, is very far."""
@@ -31,6 +43,7 @@ class Camera:
     Attributes
     ----------
     rig : StereoRig
+        As stated.
     chart : Chart
     layout : NavLayout
         Of the navigation state that Jacobians are taken by.
@@ -40,15 +53,42 @@ class Camera:
     chart: Chart
     layout: NavLayout
 
-    def view(self, world_T_imu: Array, anchors: Array, landmarks: Array) -> "View":
-        """Look at landmarks ``(n, 4)``, their anchors ``(n, 4, 4)`` in the world, from a pose ``(4, 4)``."""
-        cam_T_anchor = se3.inverse(world_T_imu @ self.rig.imu_T_cam) @ anchors
+    def errors(self, nav: Array) -> CameraErrors:
+        """Shared errors of a navigation state ``(d_nav,)``."""
+        return CameraErrors.of({name: nav[self.layout[name]] for name in OF_CAMERA if name in self.layout})
+
+    def actual(self, errors: CameraErrors) -> StereoRig:
+        """Rig with these errors; the stated one where the layout has none."""
+        return errors.rig(self.rig) if any(name in self.layout for name in OF_CAMERA) else self.rig
+
+    def view(self, world_T_imu: Array, nav: Array, anchors: Array, landmarks: Array) -> "View":
+        """Look at landmarks from a pose, with the shared errors of a navigation state.
+
+        Parameters
+        ----------
+        world_T_imu : (4, 4)
+        nav : (d_nav,)
+        anchors : (n, 4, 4)
+            Of the landmarks, in the world.
+        landmarks : (n, 4)
+        """
+        errors = self.errors(nav)
+        rig = self.actual(errors)
+        cam_T_anchor = se3.inverse(world_T_imu @ rig.imu_T_cam) @ anchors
         homogeneous = self.chart.homogeneous(landmarks[:, :3])
         in_camera = (cam_T_anchor @ homogeneous[:, :, None])[:, :, 0]
-        return View(self, landmarks, homogeneous, cam_T_anchor, in_camera)
+        return View(self, errors, rig, landmarks, homogeneous, cam_T_anchor, in_camera)
 
-    def initialise(self, world_T_imu: Array, z: Array, *, offset: float) -> tuple[Array, Array, Array, Array]:
+    def initialise(self, world_T_imu: Array, nav: Array, z: Array) -> tuple[Array, Array, Array, Array]:
         """Landmarks from their first measurement (eq. 20), the error of the match taken as 0.
+
+        Parameters
+        ----------
+        world_T_imu : (4, 4)
+        nav : (d_nav,)
+            Navigation state, whose shared errors the camera has.
+        z : (n, 3)
+            Measurements (uL, uR, v) [px].
 
         Returns
         -------
@@ -59,11 +99,12 @@ class Camera:
         by_measurement : (n, 4, 4)
             Derivative with respect to (uL, uR, v) and to the error of the match.
         """
-        rig, chart, n = self.rig, self.chart, len(z)
+        errors, chart, n = self.errors(nav), self.chart, len(z)
+        rig = self.actual(errors)
         world_T_cam = world_T_imu @ rig.imu_T_cam
         anchor = world_T_cam if chart.anchored else np.eye(4)
         anchor_T_cam = np.eye(4) if chart.anchored else world_T_cam
-        disparity = z[:, 0] - z[:, 1] - offset
+        disparity = z[:, 0] - z[:, 1] - errors.disparity_offset
         per_disparity = 1.0 / (rig.fx * rig.baseline)
         in_camera = np.column_stack(
             [
@@ -87,9 +128,24 @@ class Camera:
         by_nav = np.zeros((n, LANDMARK, self.layout.size))
         imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
         by_nav[:, :3, POSE] = chart.moved(landmarks[:, :3]) @ imu_to_anchor
-        if DISPARITY_OFFSET in self.layout:
-            by_nav[:, :3, self.layout[DISPARITY_OFFSET]] = by_measurement[:, :3, 1:2]
+        self.add_rotation(by_nav, errors, by_nav[..., POSE])
+        for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
+            by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
         return np.broadcast_to(anchor, (n, 4, 4)), landmarks, by_nav, by_measurement
+
+    def add_rotation(self, by_state: Array, errors: CameraErrors, by_pose: Array) -> None:
+        """Fill in the columns of the camera's rotation, if it is in use, from those of the pose.
+
+        Parameters
+        ----------
+        by_state : (..., d)
+            Jacobians, the navigation state first; written to.
+        errors : CameraErrors
+        by_pose : (..., 6)
+            Derivatives with respect to the pose that the camera is at.
+        """
+        if CAMERA_ROTATION in self.layout:
+            by_state[..., self.layout[CAMERA_ROTATION]] = by_pose[..., :3] @ errors.turn
 
 
 @dataclass(frozen=True)
@@ -99,6 +155,10 @@ class View:
     Attributes
     ----------
     camera : Camera
+    errors : CameraErrors
+        The shared errors.
+    rig : StereoRig
+        With them.
     landmarks : (n, 4)
     homogeneous : (n, 4)
         Their points in their anchors.
@@ -108,6 +168,8 @@ class View:
     """
 
     camera: Camera
+    errors: CameraErrors
+    rig: StereoRig
     landmarks: Array
     homogeneous: Array
     cam_T_anchor: Array
@@ -118,12 +180,14 @@ class View:
         """Depth ``(n,)`` in the left camera [m], negative behind it."""
         return np.asarray(self.in_camera[:, 2] / np.maximum(self.in_camera[:, 3], _FARTHEST))
 
-    def measurement(self, offset: float) -> Array:
-        """Measurements (uL, uR, v), ``(n, 3)`` [px], all disparities being too large by ``offset`` [px]."""
-        rig = self.camera.rig
+    def measurement(self) -> Array:
+        """Measurements (uL, uR, v), ``(n, 3)`` [px]."""
+        rig = self.rig
         x, y, z, w = self.in_camera.T
         column = rig.fx * x / z + rig.cx
-        disparity = (1.0 + self.landmarks[:, 3]) * rig.fx * rig.baseline * w / z + offset
+        disparity = (
+            1.0 + self.landmarks[:, 3]
+        ) * rig.fx * rig.baseline * w / z + self.errors.disparity_offset
         return np.column_stack([column, column - disparity, rig.fy * y / z + rig.cy])
 
     def jacobians(self) -> tuple[Array, Array]:
@@ -137,7 +201,7 @@ class View:
         by_landmark : (n, 3, 4)
             With respect to the landmark (eq. 19, by the chain rule) and to the error of its match.
         """
-        rig = self.camera.rig
+        rig = self.rig
         x, y, z, w = self.in_camera.T
         stretch = 1.0 + self.landmarks[:, 3]
         disparity = rig.fx * rig.baseline * w / z
@@ -154,8 +218,11 @@ class View:
         by_nav = np.zeros((len(z), 3, layout.size))
         by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
         by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
-        if DISPARITY_OFFSET in layout:
-            by_nav[:, 1, layout[DISPARITY_OFFSET]] = -1.0
+        self.camera.add_rotation(by_nav, self.errors, by_nav[..., POSE])
+        if any(name in layout for name in OF_PIXELS):
+            shared = self.errors.by_pixel_errors(self.measurement(), self.camera.rig, layout)
+            for name, columns in shared.items():
+                by_nav[:, :, layout[name]] = columns
         by_landmark = np.empty((len(z), 3, LANDMARK))
         by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.chart.linear)
         by_landmark[:, :, 3] = 0.0
@@ -164,7 +231,7 @@ class View:
 
     def drift_cov(self, drift: float) -> Array:
         """Covariance ``(n, 3, 3)`` of a step of ``drift`` [px] in column and row, at constant depth."""
-        rig = self.camera.rig
+        rig = self.rig
         lateral = self.cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
             self.in_camera[:, 2, None, None] * np.array([drift / rig.fx, drift / rig.fy])
         )

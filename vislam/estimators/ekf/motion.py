@@ -1,7 +1,8 @@
 """Models of motion as the filter takes them: blocks of the navigation state, a step, what is measured.
 
-The filter knows of its navigation state only the pose and, for the camera, the offset of the disparities.
-Every other block belongs to the model of motion, which predicts it and may measure it.
+The filter knows of its navigation state only the pose and the errors that the camera's observations depend
+on (:mod:`vislam.models.shared_errors`). Every other block belongs to the model of motion, which predicts it
+and may measure it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,10 +20,11 @@ from vislam.core.estimator import (
     VerticalVelocityNoise,
 )
 from vislam.core.frame import Frame
-from vislam.estimators.ekf.layout import DISPARITY_OFFSET, NavLayout
+from vislam.estimators.ekf.layout import NavLayout
 from vislam.geometry import se3, so3
-from vislam.models import odometry
+from vislam.models import odometry, shared_errors
 from vislam.models.odometry import POSE
+from vislam.models.shared_errors import CLOCK, VELOCITY_DIRECTION, SharedPrior
 
 
 @dataclass(frozen=True)
@@ -143,22 +145,22 @@ class OdometryMotion:
     """The recorded twist less its bias (:mod:`vislam.models.odometry`), its clock, and the vertical velocity.
 
     Blocks: ``twist_bias`` (6) [rad/s, m/s]; ``clock`` (1), how much later the inertial stamps are than taken
-    for [s], and ``direction`` (2), that of the velocity in the body [rad], where their priors are not zero;
-    those of :class:`Height`.
+    for [s], and ``velocity_direction`` (2), that of the velocity in the body [rad], where their priors are
+    not zero; those of :class:`Height`.
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
+        self._shared = problem.shared()
         self._height = Height(problem.vertical_velocity)
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use."""
         problem = self._problem
         found = {"twist_bias": Block(problem.bias_mean, np.asarray(problem.bias_sigma))}
-        if problem.clock_sigma > 0.0:
-            found["clock"] = Block(np.zeros(1), np.array([problem.clock_sigma]))
-        if problem.direction_sigma > 0.0:
-            found["direction"] = Block(np.zeros(2), np.full(2, problem.direction_sigma))
+        for name in (CLOCK, VELOCITY_DIRECTION):
+            if name in self._shared:
+                found[name] = _shared_block(name, self._shared[name])
         return {**found, **self._height.blocks()}
 
     def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
@@ -170,19 +172,20 @@ class OdometryMotion:
         """Integrate the twist less its bias, and the vertical velocity."""
         dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        late = float(nav[layout["clock"]][0]) / dt if "clock" in layout else 0.0
+        late = float(nav[layout[CLOCK]][0]) / dt if CLOCK in layout else 0.0
         twist = frame.odometry.twist + late * frame.odometry.twist_change
         across = _across(frame)
         bias = nav[layout["twist_bias"]]
-        if "direction" in layout:
-            bias = bias + across @ nav[layout["direction"]]
+        if VELOCITY_DIRECTION in layout:
+            bias = bias + across @ nav[layout[VELOCITY_DIRECTION]]
         step = odometry.integrate(twist, bias=bias, dt=dt, noise=self._problem.noise)
         own = slice(0, odometry.NAV)
         transition[own, own], noise[own, own] = odometry.transition(step)
-        if "clock" in layout:
-            transition[POSE, layout["clock"]] = -(step.by_bias @ frame.odometry.twist_change / dt)[:, None]
-        if "direction" in layout:
-            transition[POSE, layout["direction"]] = step.by_bias @ across
+        if CLOCK in layout:
+            transition[POSE, layout[CLOCK]] = -(step.by_bias @ frame.odometry.twist_change / dt)[:, None]
+        if VELOCITY_DIRECTION in layout:
+            transition[POSE, layout[VELOCITY_DIRECTION]] = step.by_bias @ across
+        self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
 
@@ -196,6 +199,12 @@ class OdometryMotion:
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
         """Tell up by the tilt, where it is estimated."""
         return self._height.up(layout, nav)
+
+    def _walk(self, layout: NavLayout, dt: float, noise: Array) -> None:
+        """Let the shared errors walk, those of the camera, too."""
+        for name, prior in self._shared.items():
+            if prior.walk > 0.0 and name in layout:
+                noise[layout[name], layout[name]] += dt * prior.walk**2 * np.eye(shared_errors.SIZES[name])
 
 
 class SmoothMotion(OdometryMotion):
@@ -252,6 +261,7 @@ class SmoothMotion(OdometryMotion):
         white = np.kron([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]], density)
         noise = by_noise @ white @ by_noise.T
         noise[bias, bias] += dt * np.diag(self._problem.noise.bias_walk**2)
+        self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(prev_T_next, change, transition, noise)
 
@@ -266,13 +276,13 @@ class SmoothMotion(OdometryMotion):
         by_nav[:, layout["step"]] = np.eye(6) / frame.dt
         by_nav[:, layout["twist_bias"]] = np.eye(6)
         predicted = nav[layout["step"]] / frame.dt + nav[layout["twist_bias"]]
-        if "direction" in layout:
-            by_nav[:, layout["direction"]] = _across(frame)
-            predicted = predicted + _across(frame) @ nav[layout["direction"]]
-        if "clock" in layout:
+        if VELOCITY_DIRECTION in layout:
+            by_nav[:, layout[VELOCITY_DIRECTION]] = _across(frame)
+            predicted = predicted + _across(frame) @ nav[layout[VELOCITY_DIRECTION]]
+        if CLOCK in layout:
             late = frame.odometry.twist_change / frame.dt
-            by_nav[:, layout["clock"]] = -late[:, None]
-            predicted = predicted - late * nav[layout["clock"]]
+            by_nav[:, layout[CLOCK]] = -late[:, None]
+            predicted = predicted - late * nav[layout[CLOCK]]
         variance = self._problem.noise.twist**2 / frame.dt
         return [Measurement(frame.odometry.twist - predicted, by_nav, variance), *found]
 
@@ -284,15 +294,19 @@ def make(problem: Problem) -> Motion:
 
 def navigation(problem: Problem, motion: Motion) -> tuple[NavLayout, Array, Array]:
     """Layout of the navigation state, its first mean and its standard deviations."""
-    blocks = dict(motion.blocks())
-    if problem.disparity_offset_sigma > 0.0:
-        blocks[DISPARITY_OFFSET] = Block(np.zeros(1), np.array([problem.disparity_offset_sigma]))
+    blocks, shared = dict(motion.blocks()), problem.shared()
+    blocks |= {name: _shared_block(name, shared[name]) for name in shared_errors.OF_CAMERA if name in shared}
     layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
     nav, sigma = np.zeros(layout.size), np.zeros(layout.size)
     sigma[POSE] = problem.first_pose_sigma
     for name, block in blocks.items():
         nav[layout[name]], sigma[layout[name]] = block.mean, block.sigma
     return layout, nav, sigma
+
+
+def _shared_block(name: str, prior: SharedPrior) -> Block:
+    size = shared_errors.SIZES[name]
+    return Block(np.zeros(size), np.full(size, prior.sigma))
 
 
 def _across(frame: Frame) -> Array:

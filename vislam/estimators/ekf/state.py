@@ -7,11 +7,13 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.step import TWIST_BIAS, State
 from vislam.estimators.ekf.chart import Chart
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.estimators.ekf.motion import Propagation
 from vislam.geometry import se3
+from vislam.models import shared_errors
 from vislam.models.odometry import POSE
 
 ErrorForm = Literal["standard", "first_estimates", "invariant"]
@@ -52,6 +54,21 @@ class PoseRows(Step):
 
     world_T_imu: Array
     rows: Array
+
+
+def states_of(layout: NavLayout, nav: Array, cov: Array) -> dict[str, State]:
+    """What is reported of the navigation state: the twist bias, and the errors that all tracks share.
+
+    Parameters
+    ----------
+    layout : NavLayout
+    nav : (d_nav,)
+    cov : (d, d)
+        Covariance of the whole state, the navigation state first.
+    """
+    names = [name for name in (TWIST_BIAS, *shared_errors.SIZES) if name in layout]
+    variance = np.diagonal(cov)
+    return {name: State(nav[layout[name]].copy(), np.sqrt(variance[layout[name]])) for name in names}
 
 
 class JointState:

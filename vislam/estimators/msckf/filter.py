@@ -7,18 +7,21 @@ import numpy as np
 from scipy.stats import chi2
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import Problem
+from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
 from vislam.core.lagged import LagReader
-from vislam.core.step import TWIST_BIAS, Final, State, Step
+from vislam.core.step import Final, Step
 from vislam.core.trajectory import Landmarks, Poses
-from vislam.estimators.ekf import motion
+from vislam.estimators.ekf import chart, motion
+from vislam.estimators.ekf.measurement import Camera
+from vislam.estimators.ekf.state import states_of
 from vislam.estimators.msckf.options import MsckfOptions
 from vislam.estimators.msckf.pending import Packed, Pending
 from vislam.estimators.msckf.projection import POINT, Constraints, eliminate, linearise
 from vislam.estimators.msckf.reweighting import student
 from vislam.estimators.msckf.window import Window
 from vislam.models.kernel import kernel_name
+from vislam.models.shared_errors import OF_CAMERA
 
 _NEVER = -1
 
@@ -42,6 +45,7 @@ class MsckfEstimator:
         self._options = options
         self._motion = motion.make(problem)
         layout, nav, sigma = motion.navigation(problem, self._motion)
+        self._camera = Camera(problem.rig, chart.make("point", problem.rig), layout)
         self.window = Window(layout, options.error, nav=nav, sigma=sigma)
         self._longest = options.window + 1 if options.max_length is None else options.max_length
         self._gates = options.gate and problem.gate_probability < 1.0
@@ -58,7 +62,10 @@ class MsckfEstimator:
             "noise of the tracks": "independent",
             "kernel": kernel_name(problem.kernel),
             "twist bias": "estimated",
+            **shared_information(problem, estimated=list(layout)),
         }
+        if any(prior.walk > 0.0 for name, prior in problem.shared().items() if name in OF_CAMERA):
+            self.information["walk of shared errors"] = "neglected between the frames of a track"
         if problem.kept:
             self.information["landmarks seen again"] = "taken for new ones"
 
@@ -74,13 +81,10 @@ class MsckfEstimator:
         fused = self._fuse(ended)
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
-        bias = self.window.layout[TWIST_BIAS]
         return Step(
             pose=self.window.poses[-1].copy(),
             pose_cov=self.window.pose_cov(-1),
-            states={
-                TWIST_BIAS: State(self.window.nav[bias].copy(), np.sqrt(np.diagonal(self.window.cov)[bias]))
-            },
+            states=states_of(self.window.layout, self.window.nav, self.window.cov),
             nis=fused.nis,
             dof=fused.dof,
             used=_of_the_frame(fused.tracks, frame),
@@ -159,7 +163,7 @@ class MsckfEstimator:
         long = ended.length >= self._options.min_length
         self._counts["tracks_too_short"] += int(np.count_nonzero(~long))
         tracks = ended.part(long)
-        constraints = linearise(self._problem.rig, self.window, tracks)
+        constraints = linearise(self._camera, self.window, tracks)
         solved = constraints.solved
         self._counts["tracks_not_triangulated"] += int(np.count_nonzero(~solved))
         return (tracks, constraints) if solved.all() else (tracks.part(solved), constraints.part(solved))

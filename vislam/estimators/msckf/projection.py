@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.estimators.ekf.layout import DISPARITY_OFFSET
+from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.msckf.pending import Packed
 from vislam.estimators.msckf.window import Window
 from vislam.geometry import se3, so3
@@ -117,16 +117,16 @@ class Projected:
         return left
 
 
-def linearise(rig: StereoRig, window: Window, tracks: Packed) -> Constraints:
+def linearise(camera: Camera, window: Window, tracks: Packed) -> Constraints:
     """Triangulate tracks at the current poses and linearise their observations there, or at the first ones.
 
-    The landmark is not part of the state, so its estimate is the same for residuals and Jacobians.
+    The landmark is not part of the state, so its estimate is the same for residuals and Jacobians. Errors
+    that all tracks share are taken as they are now: that they walk is neglected over the length of a track.
     """
     place = np.searchsorted(window.frames, tracks.frame)
-    offset = np.zeros(3)
-    if DISPARITY_OFFSET in window.layout:
-        offset[1] = -window.nav[window.layout[DISPARITY_OFFSET]][0]
-    z = tracks.z - offset
+    errors = camera.errors(window.nav)
+    rig = camera.actual(errors)
+    z = tracks.z - errors.offset
     # Where there is none, triangulation needs a depth all the same; nothing is made of it.
     solved = z[:, 0, 0] > z[:, 0, 1]
     z[~solved, 0, 1] = z[~solved, 0, 0] - 1.0
@@ -136,11 +136,16 @@ def linearise(rig: StereoRig, window: Window, tracks: Packed) -> Constraints:
     mean = np.where(solved[:, None], found.mean, z[:, 0])
     points = se3.transform(world_T_cam[place[:, 0]], rig.back_project(mean)[:, None])[:, 0]
     by_pose, by_point, depth = jacobians(rig, window.linearised_at[place], points)
+    by_state = _spread(by_pose, place, window)
+    camera.add_rotation(by_state, errors, by_pose)
+    shared = errors.by_pixel_errors(tracks.z - found.residual, camera.rig, window.layout)
+    for name, columns in shared.items():
+        by_state[..., window.layout[name]] = columns
     solved &= np.all((depth > rig.nearest) | ~tracks.seen, axis=1)
     weight = np.where(tracks.seen[:, :, None], 1.0 / tracks.sigma, 0.0)
     return Constraints(
         by_point=_flat(by_point * weight[..., None]),
-        by_state=_flat(_spread(by_pose, place, window) * weight[..., None]),
+        by_state=_flat(by_state * weight[..., None]),
         residual=_flat(found.residual * weight),
         points_world=points,
         solved=solved,
@@ -192,8 +197,6 @@ def _spread(by_pose: Array, place: IntArray, window: Window) -> Array:
     out = np.zeros((n, views, 3, len(window.cov)))
     columns = window.columns[place][:, :, None, None] + np.arange(6)
     np.put_along_axis(out, np.broadcast_to(columns, by_pose.shape), by_pose, axis=3)
-    if DISPARITY_OFFSET in window.layout:
-        out[:, :, 1, window.layout[DISPARITY_OFFSET]] = -1.0
     return out
 
 

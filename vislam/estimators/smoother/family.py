@@ -10,6 +10,7 @@ from vislam.core.estimator import Problem
 from vislam.estimators.former import refuse_former
 from vislam.estimators.smoother.incremental import SmootherEstimator
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam.models import shared_errors
 
 MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
@@ -28,7 +29,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
 
 _BETWEEN_LACKS: Mapping[str, Callable[[Problem], bool]] = {
     "clock_sigma to 0": lambda problem: problem.clock_sigma > 0.0,
-    "velocity_direction_sigma to 0": lambda problem: problem.direction_sigma > 0.0,
+    "velocity_direction_sigma to 0": lambda problem: problem.velocity_direction_sigma > 0.0,
     "acceleration_density to null": lambda problem: problem.noise.acceleration is not None,
 }
 """What motion: between has no variables for, each by its remedy."""
@@ -38,10 +39,11 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoother
     """Build a member from a problem and the options of its config section."""
     refuse_former(options, at=f"estimators.{name}")
     parsed = settings.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
-    if problem.disparity_offset_sigma > 0.0:
+    lacking = [name for name in shared_errors.OF_CAMERA if name in problem.shared()]
+    if lacking:
         raise ConfigError(
-            f"estimators.{name}: GTSAM's stereo factor has no disparity offset as a variable; set "
-            "noise.disparity_offset_sigma_px to 0, or compare filters only"
+            f"estimators.{name}: GTSAM's stereo factor has no {lacking[0].replace('_', ' ')} as a variable; "
+            f"set noise.{shared_errors.prior_name(lacking[0])} to 0, or compare filters only"
         )
     asked = [name for name, wanted in _BETWEEN_LACKS.items() if wanted(problem)]
     if parsed.motion == "between" and asked:

@@ -336,7 +336,7 @@ def newest(motion: Motion, k: int) -> list[int]:
 
 def _constants(problem: Problem) -> dict[int, Array]:
     """Prior standard deviations of what is constant all along, by its key, as far as it is not known."""
-    sigma = {CLOCK: np.array([problem.clock_sigma]), DIRECTION: np.full(2, problem.direction_sigma)}
+    sigma = {CLOCK: np.array([problem.clock_sigma]), DIRECTION: np.full(2, problem.velocity_direction_sigma)}
     return {key: spread for key, spread in sigma.items() if spread[0] > 0.0}
 
 
