@@ -33,7 +33,9 @@ def test_camchain(tmp_path, chained):
     camchain(path, chained=chained)
     found = read_camchain(path)
     left, right, imu_T_left, imu_T_right = cameras(Lens.KANNALA_BRANDT)
-    for one, camera, imu_T_cam in zip(found, (left, right), (imu_T_left, imu_T_right), strict=True):
+    for one, camera, imu_T_cam in zip(
+        (found.left, found.right), (left, right), (imu_T_left, imu_T_right), strict=True
+    ):
         assert one.camera == camera
         assert np.allclose(one.imu_T_cam, imu_T_cam, atol=1e-12)
 
@@ -51,4 +53,4 @@ def test_a_number_without_a_dot_is_one(tmp_path):
     path = tmp_path / "camchain.yaml"
     camchain(path, chained=False)
     path.write_text(path.read_text().replace("0.0002]", "2e-04]"))
-    assert read_camchain(path)[0].camera.coefficients[3] == 2e-4
+    assert read_camchain(path).left.camera.coefficients[3] == 2e-4

@@ -12,10 +12,10 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.core.images import ImageRecording, Inertia, ReferenceFile
-from vislam.datasets.calibration_yaml import MountedCamera, imu_in_body, read_camchain, read_sensor
+from vislam.datasets.calibration_yaml import Camchain, imu_in_body, read_camchain, read_sensor
 from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
+from vislam.datasets.inertial_table import inertia_of
 from vislam.datasets.text import read_lines, read_table
-from vislam.models.stereo_pair import rectified
 
 _REFERENCES = (
     ("state_groundtruth_estimate0/data.csv", "euroc"),
@@ -48,17 +48,9 @@ def load_asl(folder: Path) -> ImageRecording:
     """
     mav0 = _mav0(folder)
     left, right, counts = paired(_listed(mav0 / "cam0"), _listed(mav0 / "cam1"), where=mav0)
-    left_camera, right_camera = _cameras(mav0)
-    try:
-        pair = rectified(
-            left_camera.camera,
-            right_camera.camera,
-            imu_T_left=left_camera.imu_T_cam,
-            imu_T_right=right_camera.imu_T_cam,
-        )
-    except ValueError as error:
-        raise DataError(f"{mav0}: {error}; look at the extrinsics of both cameras") from None
-    inertia, dropped = _inertia(mav0 / "imu0") if (mav0 / "imu0").is_dir() else (None, {})
+    chain = _cameras(mav0)
+    pair = chain.rectified(mav0)
+    inertia, dropped = _inertia(mav0 / "imu0", chain) if (mav0 / "imu0").is_dir() else (None, {})
     return ImageRecording(
         name=mav0.absolute().parent.name if mav0.name == "mav0" else mav0.absolute().name,
         stamp=np.asarray(left.stamp_ns * NANOSECONDS, dtype=np.float64),
@@ -90,13 +82,13 @@ def _listed(folder: Path) -> Listed:
     return Listed(np.array(stamps, dtype=np.int64), ImageFiles(tuple(paths)))
 
 
-def _cameras(mav0: Path) -> tuple[MountedCamera, MountedCamera]:
+def _cameras(mav0: Path) -> Camchain:
     paths = [mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")]
     if all(path.is_file() for path in paths):
         body = mav0 / "imu0" / "sensor.yaml"
         body_T_imu = imu_in_body(body) if body.is_file() else np.eye(4)
         left, right = (read_sensor(path, body_T_imu=body_T_imu) for path in paths)
-        return left, right
+        return Camchain(left, right, mounted=True, shift=0.0, topics=None)
     places = [
         (folder, name) for folder in (mav0, mav0.parent) for name in ("camchain*.yaml", "*/camchain*.yaml")
     ]
@@ -107,15 +99,10 @@ def _cameras(mav0: Path) -> tuple[MountedCamera, MountedCamera]:
     return read_camchain(chains[0])
 
 
-def _inertia(folder: Path) -> tuple[Inertia, dict[str, int]]:
-    """Gyro and accelerometer, sorted, one sample a stamp."""
+def _inertia(folder: Path, chain: Camchain) -> tuple[Inertia | None, dict[str, int]]:
+    """Gyro and accelerometer, sorted, one sample a stamp; None if their mounting is not known."""
     table, _ = read_table(folder / "data.csv", columns=7, more=True, comma=True)
-    stamp, first = np.unique(table[:, 0], return_index=True)
-    if len(stamp) < 2:
-        raise DataError(f"{folder / 'data.csv'}: must have 2 samples or more, got {len(stamp)}")
-    listed, table = len(table), table[first]
-    counts = {"inertial_samples": len(stamp), "inertial_duplicates": listed - len(stamp)}
-    return Inertia(stamp * NANOSECONDS, table[:, 1:4], accelerometer=table[:, 4:7]), counts
+    return inertia_of(table, chain, where=folder / "data.csv")
 
 
 def _reference(mav0: Path) -> ReferenceFile | None:

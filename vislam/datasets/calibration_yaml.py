@@ -1,6 +1,6 @@
 """Cameras out of YAML: the ``sensor.yaml`` of the ASL layout, and the ``camchain`` of Kalibr."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from vislam.base.types import Array
 from vislam.base.yaml_text import MOST_CHARACTERS, parse_yaml
 from vislam.geometry import se3, so3
 from vislam.models.camera import Camera, Lens
+from vislam.models.stereo_pair import StereoPair, rectified
 
 _LENSES = {
     "radial-tangential": Lens.RADTAN,
@@ -33,6 +34,46 @@ class MountedCamera:
 
     camera: Camera
     imu_T_cam: Array
+
+
+@dataclass(frozen=True)
+class Camchain:
+    """Two cameras as Kalibr calibrated them.
+
+    Attributes
+    ----------
+    left, right : MountedCamera
+        ``cam0`` and ``cam1``; without an inertial sensor their poses are in the left camera's axes.
+    mounted : bool
+        Whether the poses are in the frame of an inertial sensor.
+    shift : float
+        What is taken off the inertial stamps to have them in the clock of the images [s].
+    topics : tuple of str or None
+        ``rostopic`` of both.
+    """
+
+    left: MountedCamera
+    right: MountedCamera
+    mounted: bool
+    shift: float
+    topics: tuple[str, str] | None
+
+    def swapped(self) -> "Camchain":
+        """The same with left and right exchanged."""
+        topics = None if self.topics is None else (self.topics[1], self.topics[0])
+        return replace(self, left=self.right, right=self.left, topics=topics)
+
+    def rectified(self, path: Path) -> StereoPair:
+        """The rectified pair; DataError if these cameras are none."""
+        return rectified_pair(self.left, self.right, where=path)
+
+
+def rectified_pair(left: MountedCamera, right: MountedCamera, *, where: Path) -> StereoPair:
+    """The rectified pair of two mounted cameras; DataError if they are none."""
+    try:
+        return rectified(left.camera, right.camera, imu_T_left=left.imu_T_cam, imu_T_right=right.imu_T_cam)
+    except ValueError as error:
+        raise DataError(f"{where}: {error}; look at the extrinsics of both cameras") from None
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -75,11 +116,13 @@ def imu_in_body(path: Path) -> Array:
     return _body_T_sensor(path, tree) if "T_BS" in tree else np.eye(4)
 
 
-def read_camchain(path: Path) -> tuple[MountedCamera, MountedCamera]:
+def read_camchain(path: Path) -> Camchain:
     """Read the first two cameras of a Kalibr ``camchain`` file.
 
     ``T_cam_imu`` is the inertial sensor's pose in the camera, ``T_cn_cnm1`` the camera before in it. Without
     the former, as in a camchain of cameras alone, the left camera's axes are taken for the body's.
+    ``timeshift_cam_imu`` is what has to be added to a stamp of the camera to have it in the clock of the
+    inertial sensor.
     """
     tree = read_mapping(path)
     found, poses = [], []
@@ -108,7 +151,15 @@ def read_camchain(path: Path) -> tuple[MountedCamera, MountedCamera]:
             poses.append(poses[-1] @ se3.inverse(_matrix(path, f"{name}.T_cn_cnm1", one["T_cn_cnm1"])))
         else:
             raise DataError(f"{path}: {name} must have T_cam_imu or T_cn_cnm1")
-    return MountedCamera(found[0], poses[0]), MountedCamera(found[1], poses[1])
+    topics = tuple(str(tree[name].get("rostopic", "")) for name in ("cam0", "cam1"))
+    (shift,) = _numbers(path, "timeshift_cam_imu", [tree["cam0"].get("timeshift_cam_imu", 0.0)], (1,))
+    return Camchain(
+        left=MountedCamera(found[0], poses[0]),
+        right=MountedCamera(found[1], poses[1]),
+        mounted="T_cam_imu" in tree["cam0"],
+        shift=shift,
+        topics=(topics[0], topics[1]) if all(topics) else None,
+    )
 
 
 def _camera(path: Path, *, resolution: Any, intrinsics: Any, lens: Any, coefficients: Any) -> Camera:

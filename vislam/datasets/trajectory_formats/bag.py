@@ -1,13 +1,13 @@
 """Poses and odometry of ROS bags: rosbag 1, rosbag 2 and MCAP, by the package rosbags."""
 
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vislam.base.errors import DataError, first_line
+from vislam.base.errors import DataError
+from vislam.datasets.bags import Bag, opened_bag
 from vislam.datasets.trajectory_formats import clean
 from vislam.datasets.trajectory_formats.options import ReadOptions
 from vislam.datasets.trajectory_formats.rows import Rows
@@ -36,29 +36,9 @@ def rosbag(path: Path, options: ReadOptions) -> Rows:
     DataError
         If the package is not installed, the bag cannot be read, or it is not clear which topic is meant.
     """
-    if find_spec("rosbags") is None:
-        raise DataError(
-            f"{path}: this is a rosbag; pip install 'vislam[ros]' to read it, or export it as text"
-        )
-    # It is an optional package.
-    from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415
-
-    # A bag of ROS 2 is a folder, of which a file of it may be named.
-    place = path
-    if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file():
-        place = path.parent
-    try:
-        with AnyReader([place]) as reader:
-            topic = _topic(path, {c.topic: c.msgtype for c in reader.connections}, options.topic)
-            messages = list(_messages(reader, topic))
-    except DataError:
-        raise
-    except (AnyReaderError, OSError, ValueError, KeyError, AssertionError) as error:
-        raise DataError(f"{path}: cannot be read as a rosbag ({first_line(error)})") from None
-    except Exception as error:  # what the package raises depends on the kind of damage
-        if not type(error).__module__.startswith("rosbags"):
-            raise
-        raise DataError(f"{path}: cannot be read as a rosbag ({first_line(error)})") from None
+    with opened_bag(path) as bag:
+        topic = _topic(path, {one.name: one.kind for one in bag.topics.values()}, options.topic)
+        messages = list(_messages(bag, topic))
     return _rows(path, topic, messages)
 
 
@@ -74,12 +54,12 @@ def _topic(path: Path, topics: dict[str, str], wanted: str | None) -> str:
     raise DataError(f"{path}: this is a rosbag: give topic=, one of {listed}")
 
 
-def _messages(reader: Any, topic: str) -> Iterator[tuple[float, Any, Any, Any]]:
-    connections = [c for c in reader.connections if c.topic == topic]
-    for connection, _, raw in reader.messages(connections=connections):
-        message = reader.deserialize(raw, connection.msgtype)
+def _messages(bag: Bag, topic: str) -> Iterator[tuple[float, Any, Any, Any]]:
+    kind = bag.topics[topic].kind
+    for _, _, raw in bag.messages({topic}):
+        message = bag.message(topic, raw)
         stamp = message.header.stamp
-        yield (stamp.sec + 1e-9 * stamp.nanosec, *_KINDS[connection.msgtype](message))
+        yield (stamp.sec + 1e-9 * stamp.nanosec, *_KINDS[kind](message))
 
 
 def _rows(path: Path, topic: str, messages: list[tuple[float, Any, Any, Any]]) -> Rows:
