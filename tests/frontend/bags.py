@@ -129,8 +129,8 @@ def samples(stamps):
     return np.arange(stamps[0] - 10**8, stamps[-1] + 10**8, 5 * 10**6).tolist()
 
 
-def write_camchain(path, topics=TOPICS):
-    left, right, imu_T_left, imu_T_right = cameras()
+def write_camchain(path, topics=TOPICS, rig=None):
+    left, right, imu_T_left, imu_T_right = cameras() if rig is None else rig
     text = ""
     for name, camera, imu_T_cam, topic in zip(
         ("cam0", "cam1"), (left, right), (imu_T_left, imu_T_right), topics, strict=True

@@ -48,3 +48,32 @@ def test_a_shaken_rig_keeps_its_tracks():
     assert tracked.figures["in_view_median"] >= 80
     assert tracked.figures["life_median"] >= 6
     assert tracked.figures["row_spread_px"] < 0.5
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_a_bag_of_recorded_images_has_their_tracks(tmp_path, kind):
+    pytest.importorskip("rosbags")
+    from tests.frontend.bags import TOPICS, Pen, write_camchain
+
+    found = recording("euroc_mh01", 12)
+    made, inertia = found.pair, found.inertia
+    imu_T_left = found.pair.rig.imu_T_cam.copy()
+    imu_T_left[:3, :3] = imu_T_left[:3, :3] @ made.rect_R_left
+    left_T_right = np.eye(4)
+    left_T_right[:3, :3] = made.rect_R_left.T @ made.rect_R_right
+    left_T_right[:3, 3] = made.rect_R_left.T @ [made.rig.baseline, 0.0, 0.0]
+    mounted = (made.left, made.right, imu_T_left, imu_T_left @ left_T_right)
+    stamps = np.rint(1e9 * found.stamp).astype(np.int64).tolist()
+    with Pen(tmp_path, kind) as pen:
+        write_camchain(tmp_path / "camchain-imucam.yaml", TOPICS, mounted)
+        rows = zip(inertia.stamp, inertia.gyro, inertia.accelerometer, strict=True)
+        for at, gyro, accelerometer in rows:
+            stamp = round(1e9 * at)
+            pen.write("/imu0", stamp, pen.imu(stamp, gyro, accelerometer))
+        for topic, images in zip(TOPICS, (found.left, found.right), strict=True):
+            for stamp, content in zip(stamps, images, strict=True):
+                pen.write(f"{topic}/compressed", stamp, pen.compressed(stamp, content))
+    one = track(found, FrontEndConfig(), progress=Silent()).sequence
+    other = track(open_images(pen.path), FrontEndConfig(), progress=Silent()).sequence
+    assert np.array_equal(one.track, other.track)
+    assert np.abs(one.pixels - other.pixels).max() < 1e-6

@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 import threading
@@ -79,7 +80,7 @@ def add_override_options(parser: Parser, *, required: bool = True) -> None:
 
 def _config(text: str) -> Path:
     found = find_config(text)
-    if found is None and text.replace("_", "").isalnum():
+    if found is None and not os.path.exists(text) and text.replace("_", "").isalnum():
         names = ", ".join(shipped_configs())
         raise argparse.ArgumentTypeError(f"no config {quoted(text)} here, and none is shipped: {names}")
     return Path(text) if found is None else found

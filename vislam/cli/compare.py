@@ -23,6 +23,7 @@ from vislam.cli.command import (
     load_config,
     refuse_bad_check_options,
 )
+from vislam.cli.recording import add_choice_options, choice_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,9 +43,10 @@ def _parser() -> Parser:
         "--data",
         type=Path,
         metavar="PATH",
-        help="a folder of stereo images, or a file of tracks, in place of a config: one is made, printed and "
-        "saved in --out",
+        help="a folder of stereo images, a bag, or a file of tracks, in place of a config: one is made, "
+        "printed and saved in --out",
     )
+    add_choice_options(parser)
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
@@ -71,7 +73,7 @@ def _compare(options: argparse.Namespace) -> int:
     if options.data is not None:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 
-        options.config = config_of(options.data, out=options.out)
+        options.config = config_of(options.data, out=options.out, choice=choice_of(options))
     if not options.dump_config:
         begin(f"compare {options.config}")
     config = load_config(options)

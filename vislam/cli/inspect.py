@@ -1,5 +1,7 @@
 """``python -m vislam.inspect``: what is wrong with a recording, from the data alone, and what answers it.
 
+Of a folder of images or a bag it lists what is in it and what would be taken.
+
 Exit codes: 0 done, whatever was found; 2 bad config or data. With ``--strict`` a fault is exit code 3.
 """
 
@@ -11,6 +13,8 @@ from typing import Any
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.cli.command import Parser, add_config_options, answer, begin, overrides
+from vislam.cli.recording import add_choice_options, choice_of, listed
+from vislam.datasets.bag_topics import Choice
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,6 +28,7 @@ def _parser() -> Parser:
     add_config_options(parser, required=False)
     add = parser.add_argument
     add("--file", type=Path, help="a recording in place of a config; its format is told by its content")
+    add_choice_options(parser)
     add("--out", type=Path, default=Path("inspection"), help="folder of the results (default: inspection)")
     add("--write-config", type=Path, metavar="FILE", help="write the config with all that is proposed")
     add("--strict", action="store_true", help="exit with 3 if a fault was found")
@@ -34,6 +39,10 @@ def _inspect(options: argparse.Namespace) -> int:
     if (options.config is None) == (options.file is None):
         raise ConfigError("one of --config and --file must be given")
     begin(f"inspect {options.config or options.file}")
+    from vislam.datasets.images import is_images  # noqa: PLC0415
+
+    if is_images(options.config or options.file):
+        return _list(options.config or options.file, choice_of(options))
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415
@@ -83,6 +92,16 @@ def _inspect(options: argparse.Namespace) -> int:
         write_text(options.write_config, text)
         terminal.note(f"config: {options.write_config}")
     return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
+
+
+def _list(path: Path, choice: Choice) -> int:
+    """List what is in a recording of images."""
+    from vislam.cli.console import Terminal  # noqa: PLC0415
+
+    terminal = Terminal()
+    for line in listed(path, choice):
+        terminal.note(line)
+    return 0
 
 
 def _tree(file: Path, data_dir: Path | None) -> dict[str, Any]:

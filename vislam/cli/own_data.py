@@ -18,6 +18,7 @@ from vislam.comparison.open import open_dataset
 from vislam.core.images import ImageRecording, ReferenceFile
 from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.core.sequence import Sequence
+from vislam.datasets.bag_topics import Choice
 from vislam.datasets.images import is_images, open_images
 from vislam.frontend.cache import copy_tracks, tracks_of
 from vislam.frontend.settings import FrontEndConfig
@@ -42,15 +43,17 @@ _KNOWN = 1e-3
 _GYRO = 3
 
 
-def config_of(data: Path, *, out: Path) -> Path:
+def config_of(data: Path, *, out: Path, choice: Choice) -> Path:
     """Make a config for a recording, print it and save it in the folder of the results.
 
     Parameters
     ----------
     data : Path
-        A folder of stereo images, of which tracks are made first, or a file of tracks.
+        A recording of stereo images, of which tracks are made first, or a file of tracks.
     out : Path
         Folder of the results; the tracks are copied into it, too.
+    choice : Choice
+        Topics and calibration of a bag, where they are not to be guessed.
 
     Returns
     -------
@@ -58,13 +61,12 @@ def config_of(data: Path, *, out: Path) -> Path:
         The saved config.
     """
     terminal = Terminal()
-    if data.is_dir() and not is_images(data):
-        open_images(data)
     if not data.exists():
-        raise DataError(f"{data}: not found; name a folder of stereo images, or a file of tracks")
+        raise DataError(f"{data}: not found; name a folder of stereo images, a bag, or a file of tracks")
+    of_images = data.is_dir() or is_images(data)
     tree, levelled, velocity = bare_tree(data.stem, str(data.resolve())), False, True
-    if data.is_dir():
-        tree, levelled, velocity = _tracked(open_images(data), out, terminal)
+    if of_images:
+        tree, levelled, velocity = _tracked(open_images(data, choice), out, terminal)
     path = out / f"{tree['name']}.yaml"
     check_writable(path)
     config = settings.parse(configuration.Config, tree)

@@ -1,6 +1,7 @@
-"""``vislam track``: make stereo tracks of a folder of images, in the open track format.
+"""``vislam track``: make stereo tracks of a recording of images, in the open track format.
 
-The folder holds ``mav0`` (EuRoC, TUM-VI) or is a KITTI raw drive, synced or "extract". Beside FILE.npz come
+It is a folder that holds ``mav0`` (EuRoC, TUM-VI), a KITTI raw drive, synced or "extract", or a bag of ROS
+1 or 2. Beside FILE.npz come
 FILE_quality.npz (forward-backward distances and lives) and FILE_front_end.json (settings, counts, figures).
 Tracks that were made of the same images with the same settings before are taken from the cache. Exit codes: 0
 written, 2 wrong input, 130 interrupted.
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.cli.command import Parser, answer, overrides
+from vislam.cli.recording import add_choice_options, choice_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> Parser:
     parser = Parser(prog="vislam track", description=__doc__)
     add = parser.add_argument
-    add("folder", type=Path, metavar="FOLDER", help="folder of the images")
+    add("recording", type=Path, metavar="PATH", help="folder of the images, or bag")
+    add_choice_options(parser)
     add("-o", "--out", type=Path, required=True, metavar="FILE", help="the .npz file to write")
     add("--seed", type=int, default=None, help="seed of the consensus (default: 0)")
     add(
@@ -55,7 +58,7 @@ def _track(options: argparse.Namespace) -> int:
     config = settings.parse(FrontEndConfig, overrides(options), at="--set")
     require_opencv()
     check_writable(options.out)
-    recording, terminal = open_images(options.folder), Terminal()
+    recording, terminal = open_images(options.recording, choice_of(options)), Terminal()
     path, made = tracks_of(recording, config, progress=terminal, fresh=options.fresh)
     copy_tracks(path, options.out)
     summary = json.loads(
@@ -83,6 +86,11 @@ def told(summary: dict[str, Any], *, made: bool) -> list[str]:
     left_out = [f"{name.replace('_', ' ')} {counts[name]}" for name in LEFT_OUT if counts.get(name)]
     if left_out:
         lines.append(f"left out: {', '.join(left_out)}")
+    without = counts.get("inertial_samples_without_mounting")
+    if without:
+        lines.append(
+            f"{without} inertial samples are left out: nothing says how the sensor sits on the cameras"
+        )
     if not summary["velocity"]:
         lines.append(
             "NO VELOCITY was recorded: that of the file is 0, and its noise must be set so wide that it "
