@@ -16,8 +16,8 @@ that at least one run claims too much. One within it says nothing of the truth: 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile, chi2_upper_quantile
 from vislam.base.types import Array, IntArray
 from vislam.core.run import Estimate, Run
 from vislam.evaluation.normalised import COMPONENTS, usable, whiten
@@ -86,7 +86,7 @@ class Agreement:
 
     def share_beyond(self, probability: float = 0.95) -> float:
         """Share of the frames at which the distance is beyond the chi-square quantile of a probability."""
-        return float(np.mean(self.squared > chi2.ppf(probability, 6)))
+        return float(np.mean(self.squared > chi2_quantile(probability, 6)))
 
     def parting(self, alarm: float = 0.01) -> int | None:
         """First frame at which the runs contradict each other and keep doing so; None if they never do.
@@ -95,7 +95,7 @@ class Agreement:
         probability ``alarm`` at most, by Bonferroni's inequality. That it does so in most of the next few
         frames too leaves out a single bad pose, from which both went on together.
         """
-        beyond = self.squared > chi2.isf(alarm / len(self.squared), 6)
+        beyond = self.squared > chi2_upper_quantile(alarm / len(self.squared), 6)
         counted = np.concatenate([[0], np.cumsum(beyond)])
         start = np.arange(len(beyond))
         stop = np.minimum(start + _STAYS, len(beyond))

@@ -9,8 +9,8 @@ circular block bootstrap (Politis and Romano, *A circular block-resampling proce
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, t
 
+from vislam.base.distributions import normal_quantile, t_quantile
 from vislam.base.types import Array
 from vislam.evaluation.statistics import effective_errors
 from vislam.evaluation.trajectory import AbsoluteErrors
@@ -85,7 +85,7 @@ def ate_difference(one: AbsoluteErrors, other: AbsoluteErrors, *, seed: int = 0)
     if blocks < FEWEST_BLOCKS:
         return ErrorDifference(value, np.nan, np.nan, blocks)
     low, high = np.quantile(_drawn(squares, length, np.random.default_rng(seed)), [0.025, 0.975])
-    wider = _WIDER * float(t.ppf(0.975, blocks - 1.0) / norm.ppf(0.975))
+    wider = _WIDER * float(t_quantile(0.975, blocks - 1.0) / normal_quantile(0.975))
     return ErrorDifference(
         value, value + wider * (float(low) - value), value + wider * (float(high) - value), blocks
     )

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, IntArray
 from vislam.core.reference import Reference
 from vislam.core.run import Run
@@ -160,7 +160,7 @@ def _bin(low: float, high: float, distance: Array, squared: Array) -> Bin:
         len(distance),
         float(np.median(distance)) if len(distance) else np.nan,
         float(np.median(np.sqrt(known))) if len(known) else np.nan,
-        float(np.mean(known > chi2.ppf(0.95, 3))) if len(known) else np.nan,
+        float(np.mean(known > chi2_quantile(0.95, 3))) if len(known) else np.nan,
     )
 
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_below, chi2_quantile
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.reference import Reference
 from vislam.core.run import Estimate, Run
@@ -81,11 +81,11 @@ class Normalised:
 
         Medians, so that some bad frames do not count; 1 is expected.
         """
-        return float(np.sqrt(np.median(self.nees) / chi2.ppf(0.5, self.whitened.shape[1])))
+        return float(np.sqrt(np.median(self.nees) / chi2_quantile(0.5, self.whitened.shape[1])))
 
     def coverage_curve(self, probabilities: Array = PROBABILITIES) -> Array:
         """Share of the NEES within the chi-square quantile of each probability ``(p,)``; equal if sound."""
-        within = chi2.cdf(np.sort(self.nees), self.whitened.shape[1])
+        within = chi2_below(np.sort(self.nees), self.whitened.shape[1])
         return np.asarray(np.searchsorted(within, probabilities, side="right") / len(within))
 
     def within(self, multiples: Sequence[float] = MULTIPLES) -> Array:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_above, chi2_below, chi2_quantile, chi2_upper_quantile
 from vislam.base.types import Array, IntArray
 
 LAGS = 20
@@ -53,15 +53,15 @@ class Statistic:
         """Interval of a consistent estimator's value."""
         low, high = self._freedoms
         if self.fitted:
-            return 0.0, float(chi2.ppf(probability, high)) / high
+            return 0.0, float(chi2_quantile(probability, high)) / high
         tail = 0.5 * (1.0 - probability)
-        return float(chi2.ppf(tail, low)) / low, float(chi2.isf(tail, high)) / high
+        return float(chi2_quantile(tail, low)) / low, float(chi2_upper_quantile(tail, high)) / high
 
     def p_value(self) -> float:
         """Probability that a consistent estimator's value is as far out as this one."""
         low, high = self._freedoms
-        above = float(chi2.sf(self.value * high, high))
-        return above if self.fitted else min(1.0, 2.0 * min(above, float(chi2.cdf(self.value * low, low))))
+        above = float(chi2_above(self.value * high, high))
+        return above if self.fitted else min(1.0, 2.0 * min(above, float(chi2_below(self.value * low, low))))
 
     @property
     def _freedoms(self) -> tuple[float, float]:
@@ -164,7 +164,7 @@ def whiteness(squares: Array, freedom: Array) -> Whiteness | None:
     found = _autocorrelation((normal - normal.mean())[:, None])[lag, 0] * (1.0 - lag / count)
     box = count * (count + 2.0) * np.sum(found**2 / (count - lag))
     return Whiteness(
-        lag, found, 1.96 / np.sqrt(count), float(chi2.sf(box, LAGS)), effective_squares(squares, freedom)
+        lag, found, 1.96 / np.sqrt(count), float(chi2_above(box, LAGS)), effective_squares(squares, freedom)
     )
 
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core import trajectory
 from vislam.core.estimator import Problem, shared_information
@@ -46,7 +46,7 @@ class EkfEstimator:
         self._options = options
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
-        self._threshold = float(chi2.ppf(problem.gate_probability, 3)) if options.gate else np.inf
+        self._threshold = float(chi2_quantile(problem.gate_probability, 3)) if options.gate else np.inf
         self._motion = motion.make(problem)
         self._nearest = problem.rig.nearest
         layout, nav, sigma = motion.navigation(problem, self._motion)

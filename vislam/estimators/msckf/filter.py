@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
@@ -172,7 +172,7 @@ class MsckfEstimator:
         """Which tracks the gate lets pass; the others are counted."""
         if not (self._gates and len(tracks)):
             return np.ones(len(tracks), bool)
-        most = chi2.ppf(self._problem.gate_probability, 3 * tracks.length - POINT)
+        most = chi2_quantile(self._problem.gate_probability, 3 * tracks.length - POINT)
         projected = eliminate(constraints, tracks.seen.astype(np.float64))
         passes = projected.distances(self.window.cov) <= most
         self._counts["tracks_rejected"] += int(np.count_nonzero(~passes))

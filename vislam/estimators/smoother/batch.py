@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.descent import Budget, Descent, descend
@@ -251,7 +251,7 @@ def graduate(
         Factors that are no outliers.
     """
     plain = weighted(np.ones(count))
-    limit = float(chi2.ppf(_INLIER_PROBABILITY, 3))
+    limit = float(chi2_quantile(_INLIER_PROBABILITY, 3))
     squared = _squared_residuals(plain, values, count)
     control = limit / max(2.0 * squared.max(initial=0.0) - limit, limit)
     weights = np.ones(count)
