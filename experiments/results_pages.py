@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vislam.cli import compare
+from vislam.cli import compare, evaluate
 from vislam.core.run import ESTIMATES
 from vislam.evaluation.lookup import Lookup
 from vislam.evaluation.metric import METRICS, with_unit
@@ -49,7 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         (ROOT / "docs" / "results" / f"{name}.md").write_text(page(name, document), encoding="utf-8")
     readme = ROOT / "README.md"
     readme.write_text(with_table(readme.read_text("utf-8"), readme_table(documents)), encoding="utf-8")
-    shutil.copyfile(files["ds3"].parent / "figures" / "top_view.png", ROOT / "docs" / "ds3.png")
+    picture = files["ds3"].parent / "figures" / "top_view.png"
+    if not picture.is_file():
+        evaluate.main([str(files["ds3"].parent), "--png"])
+    shutil.copyfile(picture, ROOT / "docs" / "ds3.png")
     return 0
 
 
@@ -59,7 +62,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _run(name: str, out: Path) -> Path:
     """``metrics.json`` of a comparison, of the recording and no substitute."""
-    if compare.main([name, "--no-substitute", "--out", str(out)]):
+    if compare.main([name, "--no-substitute", "--png", "--out", str(out)]):
         raise SystemExit(f"{name}: the comparison has failed")
     return max(out.glob(f"{name}-*/metrics.json"), key=lambda path: path.stat().st_mtime)
 

@@ -97,7 +97,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     )
     for name in of_each:
         drawn += [f"{name}_filtered", f"{name}_smoothed"]
-    wanted |= {f"figures/{name}.png" for name in drawn}
+    wanted |= {f"figures/{name}.svg" for name in drawn}
     wanted.add("list/ekf_invariant.npz")
     for estimator in ("dead_reckoning", "ekf", "isam2"):
         wanted |= {f"{estimator}.tum", f"{estimator}.ply", f"runs/{estimator}.npz"}
@@ -141,7 +141,7 @@ def test_without_a_report_there_are_the_numbers(tmp_path, capsys):
     assert main(["--config", TINY, "--out", "out", "--no-report", "--estimators", "ekf"]) == 0
     (folder,) = (tmp_path / "out").iterdir()
     assert capsys.readouterr().out.endswith(f"metrics: out/{folder.name}/metrics.json\n")
-    assert not list(folder.rglob("*.html")) + list(folder.rglob("*.png"))
+    assert not list(folder.rglob("*.html")) + list(folder.rglob("*.svg"))
     numbers = json.loads((folder / "metrics.json").read_text())
     assert main(["--config", TINY, "--out", "out", "--estimators", "ekf"]) == 0
     again = json.loads((folder / "metrics.json").read_text())

@@ -145,7 +145,8 @@ def test_no_page_of_earlier_results_stands_beside_newer_metrics(others, results,
     folder = Path(shutil.copytree(results, "out"))
     figures = folder / "figures"
     figures.mkdir()
-    for path in (folder / "report.html", figures / "top_view.png", *(figures / name for name in others)):
+    old = ["top_view.png", "top_view.svg"]
+    for path in (folder / "report.html", *(figures / name for name in (*old, *others))):
         path.write_text("old")
     assert evaluate.main([str(folder), "--no-report"]) == 0
     assert not (folder / "report.html").exists()

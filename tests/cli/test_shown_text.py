@@ -98,7 +98,7 @@ def test_a_report_shows_any_letters_as_they_are(case, truth):
     assert "<script>alert" not in text
     if name.isprintable():
         assert escape(name, quote=False) in text.replace("&#39;", "'")
-    assert {"top_view.png", "ladder.png"} <= {path.name for path in (page.parent / "figures").iterdir()}
+    assert {"top_view.svg", "ladder.svg"} <= {path.name for path in (page.parent / "figures").iterdir()}
 
 
 @pytest.mark.parametrize("case", ["markup", "mathematics", "terminal"])

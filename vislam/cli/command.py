@@ -97,6 +97,7 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         help="share by which an error may exceed the saved one, unless checks state it (default: 0.05)",
     )
     add("--no-report", action="store_true", help="metrics and checks only: no figures, no page")
+    add("--png", action="store_true", help="write the figures as PNG, beside the SVG of each")
     add("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML, too")
     add(
         "--rerun",

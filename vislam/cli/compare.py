@@ -102,7 +102,9 @@ def _compare(options: argparse.Namespace) -> int:
     )
     if options.robustness and not outcome.results.interrupted:
         outcome = _robust(outcome, options)
-    return conclude(outcome.results, outcome.published, junit=options.junit, rerun=options.rerun)
+    return conclude(
+        outcome.results, outcome.published, junit=options.junit, rerun=options.rerun, png=options.png
+    )
 
 
 def _robust(outcome: Any, options: argparse.Namespace) -> Any:

@@ -162,7 +162,7 @@ def _publish(options: argparse.Namespace, results: Any, checklist: Any, folder: 
     announce(results, published, Terminal())
     if options.export is not None:
         export_layouts(results, options.export)
-    return conclude(results, published, junit=options.junit, rerun=options.rerun)
+    return conclude(results, published, junit=options.junit, rerun=options.rerun, png=options.png)
 
 
 def _trajectories(options: argparse.Namespace) -> list[Any]:

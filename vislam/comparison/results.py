@@ -1,6 +1,5 @@
 """A results folder: what runs leave in it, and all that is computed from that, now or years later."""
 
-import io
 import json
 import logging
 import os
@@ -29,7 +28,7 @@ from vislam.report.noticed import noticed_lines, read_lines
 from vislam.report.page import Content, clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
-from vislam.report.svg import save_png
+from vislam.report.svg import plain_svg, save_png, save_svg
 from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
 from vislam.report.verdict import answer
@@ -39,7 +38,7 @@ SCHEMA_VERSION = 2
 RECORD = "record.npz"
 ROBUSTNESS = "robustness"
 """Name of the file, and of the folder below the results, that hold what the settings do to the errors."""
-PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.png")
+PLACES = ("metrics.json", "report.html", "runs/a.npz", "list/a.npz", "figures/a.svg")
 """A file of each folder that results are written to, and those that earlier results may have left."""
 
 
@@ -196,7 +195,7 @@ def _write_report(
     shown = Shown.of(runs, record, evaluation, rungs)
     figures = all_figures(shown)
     for name, drawing in figures.items():
-        save_png(drawing.figure, path.parent / "figures" / f"{name}.png")
+        save_svg(drawing.svg, path.parent / "figures" / f"{name}.svg")
     write_page(
         path,
         Content(
@@ -220,10 +219,7 @@ def _write_report(
 
 def top_view_svg(results: Results, evaluation: Evaluation) -> str:
     """Paths and maps from above, as an SVG element."""
-    figure = top_view(Shown.of(results.runs, results.record, evaluation, ()))
-    text = io.StringIO()
-    figure.savefig(text, format="svg")
-    return text.getvalue().partition("<svg")[2].join(("<svg", ""))
+    return plain_svg(top_view(Shown.of(results.runs, results.record, evaluation, ())))
 
 
 def metrics_document(
@@ -310,8 +306,19 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         progress.note(summary(published.verdicts))
 
 
-def conclude(results: Results, published: Published, *, junit: Path | None, rerun: Path | None) -> int:
-    """Write the checks as JUnit XML and a recording for Rerun, if wanted; return the command's exit code."""
+def save_pictures(results: Results, evaluation: Evaluation, folder: Path) -> None:
+    """Write the figures as PNG, beside those that the page shows."""
+    rungs = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
+    for name, drawing in all_figures(Shown.of(results.runs, results.record, evaluation, rungs)).items():
+        save_png(drawing.figure, folder / "figures" / f"{name}.png")
+
+
+def conclude(
+    results: Results, published: Published, *, junit: Path | None, rerun: Path | None, png: bool = False
+) -> int:
+    """Write checks as JUnit XML, a Rerun recording and figures as PNG, if wanted; return the exit code."""
+    if png:
+        save_pictures(results, published.evaluation, published.path.parent)
     if junit is not None:
         write_junit(junit, published.document)
     if rerun is not None:

@@ -1,14 +1,15 @@
 """What the figures of all pages have in common: width, legible letters, plain numbers on axes."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogFormatter, LogLocator
 
 from vislam.base.types import Array
+from vislam.report.margins import Margins
 
 WIDTH = 6.4
 """Width of a figure [inch]."""
@@ -18,6 +19,8 @@ TIME = "time [s]"
 """Label of the abscissa that a page can turn into the distance travelled."""
 _GAP = 5.0
 """Times the median distance of samples from which on a line is broken."""
+_BAND = 400
+"""Points of a band at most: one a point of the figure's width."""
 _MARGIN = 0.06
 """Room above and below the lines, as a share of what they span."""
 
@@ -30,9 +33,18 @@ class PlainLog(LogFormatter):
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
+class _Between(LogLocator):
+    """Ticks between the powers of ten: at 2 and 5, and within a decade at all digits."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """Where they are."""
+        self.set_params(subs=(2.0, 5.0) if vmax > 10.0 * vmin else [float(digit) for digit in range(2, 10)])
+        return super().tick_values(vmin, vmax)
+
+
 def new_figure(height: float) -> Figure:
     """An empty figure of a height [inch]."""
-    return Figure(figsize=(WIDTH, height), layout="constrained")
+    return Figure(figsize=(WIDTH, height), layout=Margins())
 
 
 def panels(rows: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -47,6 +59,7 @@ def logarithmic(axes: Axes, which: str = "y") -> None:
         getattr(axes, f"set_{name}scale")("log")
         axis = getattr(axes, f"{name}axis")
         axis.set_major_formatter(PlainLog())
+        axis.set_minor_locator(_Between())
         axis.set_minor_formatter(PlainLog(minor_thresholds=(1.0, 0.4)))
 
 
@@ -66,6 +79,12 @@ def line(axes: Axes, x: Array, y: Array, **how: Any) -> None:
     axes.plot(np.insert(x, gaps, np.nan), np.insert(np.asarray(y, float), gaps, np.nan), **how)
 
 
+def band(axes: Axes, x: Array, low: Array, high: Array, **how: Any) -> None:
+    """Fill what lies between two lines, ``(n,)`` each, through as many points as are seen."""
+    rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), _BAND)).astype(int))
+    axes.fill_between(x[rows], low[rows], high[rows], lw=0, **how)
+
+
 def legend(figure: Figure, *axes: Axes, columns: int = 3) -> None:
     """One legend above the panels, a name once, so that no line is hidden by it."""
     found: dict[str, Any] = {}
@@ -74,7 +93,10 @@ def legend(figure: Figure, *axes: Axes, columns: int = 3) -> None:
             found.setdefault(name, handle)
     if found:
         handles, names = list(found.values()), list(found)
-        figure.legend(handles, names, loc="outside upper left", ncols=columns, fontsize=SMALL, frameon=False)
+        figure.legend(handles, names, loc="upper left", ncols=columns, fontsize=SMALL, frameon=False)
+        engine = figure.get_layout_engine()
+        assert isinstance(engine, Margins)
+        engine.leave(-(-len(names) // columns), size=SMALL)
 
 
 def limit(axes: Axes, wanted: Iterable[Array], leaving: Iterable[tuple[str, str, Array]]) -> None:

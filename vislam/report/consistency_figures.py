@@ -6,14 +6,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from scipy.stats import chi2
+from matplotlib.ticker import MaxNLocator
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.legible import literal
 from vislam.core.run import Run
 from vislam.evaluation.metric import of_statistic
 from vislam.evaluation.normalised import COMPONENTS, PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
-from vislam.report.canvas import TIME, legend, logarithmic, new_figure, panels
+from vislam.report.canvas import TIME, band, legend, logarithmic, new_figure, panels
 from vislam.report.colours import COLOURS
 from vislam.report.shown import Shown
 from vislam.report.time_figures import three_sigma_band
@@ -50,7 +51,7 @@ def nees(shown: Shown) -> Figure | None:
         values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
         axes.plot(shown.time_at(claim.index), values, lw=0.9, color=shown.colour(name), label=literal(name))
     freedom = next(iter(claims.values())).whitened.shape[1]
-    low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
+    low, high = chi2_quantile([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel=TIME, ylabel=_title(claims))
@@ -81,7 +82,7 @@ def bands(shown: Shown) -> Figure | None:
             error, limit = scale * claim.error[:, index], _SIGMAS * scale * claim.sigma[:, index]
             time = shown.time_at(claim.index)
             axes.plot(time, error, lw=0.9, color=shown.colour(name), label=literal(name))
-            axes.fill_between(time, -limit, limit, color=shown.colour(name), alpha=0.18, lw=0)
+            band(axes, time, -limit, limit, color=shown.colour(name), alpha=0.18)
             reach = max(reach, 1.5 * float(np.abs(error).max()))
         axes.set_ylabel(f"{component} [{unit}]")
         if reach > 0.0:
@@ -127,6 +128,7 @@ def whiteness(shown: Shown) -> Figure | None:
         ylabel="autocorrelation of the NIS",
         xlim=(0.4, LAGS + 0.6),
     )
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     legend(figure, axes)
     return figure
 
@@ -144,7 +146,7 @@ def distances(shown: Shown) -> Figure | None:
         frame = found.parting()
         if frame is not None:
             axes.axvline(float(shown.time_at(np.array(frame))), color=colour, lw=0.9, ls=":")
-    axes.axhline(chi2.ppf(0.95, 6) / 6.0, color="k", lw=0.8, ls="--", label="95 % bound")
+    axes.axhline(float(chi2_quantile(0.95, 6)) / 6.0, color="k", lw=0.8, ls="--", label="95 % bound")
     axes.set(xlabel=TIME, ylabel="squared distance per degree of freedom")
     logarithmic(axes)
     legend(figure, axes, columns=2)

@@ -87,12 +87,12 @@ def accuracy_against_time(shown: Shown) -> Figure | None:
         error, seconds = (shown.evaluation.value(name, one, shown.estimate) for one in (key, time))
         if error is None or seconds is None or not run.complete:
             continue
-        axes.plot(seconds, error, "o", ms=9, color=shown.colour(name))
-        axes.annotate(literal(name), (seconds, error), xytext=(8, 4), textcoords="offset points", fontsize=9)
+        axes.plot(seconds, error, "o", ms=9, color=shown.colour(name), label=literal(name))
     axes.set(xlabel=METRICS[time].label, ylabel=METRICS[key].label)
     logarithmic(axes, "xy")
     if not axes.lines:
         return None
     axes.margins(0.2)
     axes.grid(alpha=0.3, which="both", lw=0.4)
+    legend(figure, axes)
     return figure

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from matplotlib.figure import Figure
 
 from vislam.core.run import ESTIMATES
 from vislam.report import consistency_figures, error_figures, limit_figures, time_figures
 from vislam.report.shown import Shown
+from vislam.report.svg import plain_svg
 from vislam.report.top_view import error_paths, top_view
 
 
@@ -24,6 +26,11 @@ class Drawing:
     title: str
     caption: str
     figure: Figure
+
+    @cached_property
+    def svg(self) -> str:
+        """The figure as an element, drawn once for the page and for its file."""
+        return plain_svg(self.figure)
 
 
 def all_figures(shown: Shown) -> dict[str, Drawing]:

@@ -38,7 +38,7 @@ def render(name: str, **content: Any) -> str:
 
 def inline_svg(name: str, drawing: Drawing) -> Markup:
     """A figure as a labelled element in a box that scrolls; ``name`` goes before its ids."""
-    svg = themed_svg(drawing.figure, name, colours=COLOURS)
+    svg = themed_svg(drawing.svg, drawing.figure, name, colours=COLOURS)
     label = escape(f"{drawing.title}: {drawing.caption}")
     drawn = svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
     title = escape(drawing.title)

@@ -5,7 +5,7 @@
   const plot = element("scene-plot");
   const probe = document.createElement("canvas");
   const context = probe.getContext("webgl2") || probe.getContext("webgl");
-  if (!context) {
+  if (!context || typeof DecompressionStream === "undefined") {
     element("scene-missing").hidden = false;
     return;
   }
@@ -205,9 +205,19 @@
     if (event.key === "Escape") document.activeElement.blur();
   });
 
+  // The drawing library is unpacked where it is needed, and not before.
+  const unpack = async () => {
+    const packed = Uint8Array.from(atob(element("plotly").textContent), (character) => character.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+  };
+
   element("scene-body").hidden = false;
   tell();
   const draw = async () => {
+    await unpack();
     await Plotly.newPlot(plot, traces(), layout(), settings);
     busy = false;
     plot.dataset.drawn = "true";

@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from vislam.base.files import replace_whole
+from vislam.base.files import replace_whole, write_text
 from vislam.report.canvas import TIME
 
 _SIMPLIFIED = 0.3
@@ -23,27 +23,12 @@ _DPI = 110
 """Resolution of a file [px/inch]."""
 _LEGIBLE = 11.0
 """Smallest letters on any screen [px]; where they would be smaller, the figure scrolls instead."""
-_SIMPLIFY = 0.3
-"""How far a simplified path may lie off [1/72 inch]."""
 _PAGE_COLOURS = {"#000000": "currentColor", "#ffffff": "var(--paper)", "#cccccc": "var(--band)"}
 _METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
-def themed_svg(figure: Figure, prefix: str, *, colours: Sequence[str]) -> str:
-    """SVG element to be put into a page.
-
-    Black becomes the colour of the page's text, white that of its paper, light grey that of its bands, and
-    each of ``colours`` the page's variable ``--c0``, ``--c1``, ... The same figure gives the same bytes.
-    Panels over time are described in ``data-panels``, from which the page draws them over the distance.
-
-    Parameters
-    ----------
-    figure : Figure
-    prefix : str
-        Put before every id, since ids of several figures share the page.
-    colours : sequence of str
-        ``#rrggbb`` of the series.
-    """
+def plain_svg(figure: Figure) -> str:
+    """SVG element of a figure, in its own colours; the same figure gives the same letters."""
     settle(figure)
     buffer = io.StringIO()
     with mpl.rc_context(
@@ -51,14 +36,38 @@ def themed_svg(figure: Figure, prefix: str, *, colours: Sequence[str]) -> str:
     ):
         figure.savefig(buffer, format="svg", dpi=_IMAGE_DPI, transparent=True, metadata=_METADATA)
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    # The metadata and the style sheet are the document's; a page has its own.
-    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
-    head, rest = text.split(">", 1)
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    return re.sub(r' d="[^"]*"', lambda path: _brief(path[0]), text)
+
+
+def save_svg(drawn: str, path: Path) -> None:
+    """Write an element as a file, on white paper, whole or not at all."""
+    head, rest = drawn.split(">", 1)
+    write_text(path, f'{head}>\n <rect width="100%" height="100%" fill="#ffffff"/>{rest}')
+
+
+def themed_svg(drawn: str, figure: Figure, prefix: str, *, colours: Sequence[str]) -> str:
+    """SVG element to be put into a page.
+
+    Black becomes the colour of the page's text, white that of its paper, light grey that of its bands, and
+    each of ``colours`` the page's variable ``--c0``, ``--c1``, ...
+    Panels over time are described in ``data-panels``, from which the page draws them over the distance.
+
+    Parameters
+    ----------
+    drawn : str
+        What :func:`plain_svg` gives of the figure.
+    figure : Figure
+    prefix : str
+        Put before every id, since ids of several figures share the page.
+    colours : sequence of str
+        ``#rrggbb`` of the series.
+    """
+    head, rest = drawn.split(">", 1)
     view = re.search(r'viewBox="[^"]*"', head)
     assert view is not None
-    rest = re.sub(r' d="[^"]*"', lambda path: _brief(path[0]), rest)
-    # The page names the family once.
+    # The style sheet is the document's; a page has its own, which names the family once.
+    rest = re.sub(r"<style.*?</style>", "", rest, flags=re.DOTALL)
     rest = re.sub(r"font-family: [^;\"]*;? ?", "", rest)
     rest = re.sub(r'\bid="', f'id="{prefix}-', rest)
     rest = rest.replace("url(#", f"url(#{prefix}-").replace("xlink:href", "href")

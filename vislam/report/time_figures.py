@@ -8,14 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
+from vislam.base.distributions import chi2_quantile
 from vislam.base.legible import literal
 from vislam.base.types import Array
 from vislam.core.run import Run
 from vislam.evaluation.rpe import RelativeErrors
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
-from vislam.report.canvas import TIME, legend, limit, line, logarithmic, panels
+from vislam.report.canvas import TIME, band, legend, limit, line, logarithmic, panels
 from vislam.report.shown import Shown
 
 _SMALLEST_ERROR = 1e-2
@@ -185,7 +185,7 @@ def nis(shown: Shown) -> Figure | None:
         value, low, high = _smoothed_nis(run)
         axes.plot(shown.time(run), value, lw=1, color=shown.colour(name), label=literal(name))
         label = "95 % interval of a consistent filter" if index == 0 else None
-        axes.fill_between(shown.time(run), low, high, color="0.8", lw=0, label=label)
+        band(axes, shown.time(run), low, high, color="0.8", label=label)
     axes.axhline(1.0, color="k", lw=0.6)
     axes.set(xlabel=TIME, ylabel="NIS per degree of freedom", ylim=(0, None))
     legend(figure, axes)
@@ -197,7 +197,7 @@ def _smoothed_nis(run: Run) -> tuple[Array, Array, Array]:
     found = run.innovations
     window = np.ones(min(_SMOOTHING, len(found.dof)))
     dof = np.maximum(np.convolve(found.dof, window, mode="same"), 1.0)
-    low, high = (chi2.ppf(share, dof) / dof for share in (0.025, 0.975))
+    low, high = (chi2_quantile(share, dof) / dof for share in (0.025, 0.975))
     return np.convolve(found.nis, window, mode="same") / dof, low, high
 
 

@@ -82,7 +82,7 @@ class _Grid:
         columns = wanted if wanted <= 2 else 2 if wanted == 4 else 3
         rows = -(-wanted // columns)
         tall = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.25))
-        self.figure = new_figure(1.5 + rows * (0.3 + tall * (WIDTH - 0.9) / columns))
+        self.figure = new_figure(1.2 + rows * (0.7 + tall * ((WIDTH - 0.3) / columns - 0.55)))
         self._panels = self.figure.subplots(rows, columns, squeeze=False)
         self.cells: list[Axes] = list(self._panels.flat)
         self._wanted = wanted

@@ -35,6 +35,8 @@ def heat_map(trials: Trials) -> Figure | None:
         _numbers(axes, values, low=float(known.min()), high=float(known.max()))
     for axes in panels[len(cells) :]:
         axes.set_axis_off()
+    # Its bar stands at the side.
+    figure.set_layout_engine("constrained")
     figure.colorbar(image, ax=panels.tolist(), label=f"median {metric_label(key)}")
     return figure
 
