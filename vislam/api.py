@@ -43,7 +43,8 @@ class CallableModule(ModuleType):
 
 def make_callable(name: str) -> None:
     """Let a module that is being imported be called, and explained, as the function of its name."""
-    if name != "__main__":
+    # The main module of a process that this one starts has another name.
+    if name not in ("__main__", "__mp_main__"):
         module, function = sys.modules[name], globals()[name.rpartition(".")[2]]
         module.__class__ = CallableModule
         module.__doc__ = function.__doc__

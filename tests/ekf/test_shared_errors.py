@@ -30,11 +30,22 @@ def planted(short_config, *, frames, **more):
     """A drive with all of them, noise as it is taken to be, and its config."""
     simulation = replace(
         short_config.data.simulation,
-        **{"frames": frames, "duplication_probability": 0.0, "drift_px": 0.0, "matching_bias_px": 0.0, **PLANTED, **more},
+        **{
+            "frames": frames,
+            "duplication_probability": 0.0,
+            "drift_px": 0.0,
+            "matching_bias_px": 0.0,
+            **PLANTED,
+            **more,
+        },
         gyro_sigma=2e-4,
         velocity_sigma=2e-3,
     )
-    noise = {"drift_px": 0.0, "matching_bias_px": 0.0, "twist_density": (2e-4 * ROOT,) * 3 + (2e-3 * ROOT,) * 3}
+    noise = {
+        "drift_px": 0.0,
+        "matching_bias_px": 0.0,
+        "twist_density": (2e-4 * ROOT,) * 3 + (2e-3 * ROOT,) * 3,
+    }
     config = replace(
         short_config,
         data=DataConfig(simulation=simulation, repair=short_config.data.repair),

@@ -7,6 +7,7 @@ does not hold; 130 interrupted by Ctrl-C or SIGTERM (what had finished is kept, 
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -56,7 +57,12 @@ def _parser() -> Parser:
         action="store_true",
         help="repeat it over other held-out tracks and settings nearby; the verdict uses the spread",
     )
-    add("--workers", type=int, help="number of processes of --robustness (default: one for each CPU)")
+    add(
+        "--workers",
+        type=int,
+        help="number of processes of --robustness, and of the config's consider and sandwich (default: "
+        "one for each CPU)",
+    )
     add("--dump-config", action="store_true", help="print the effective configuration and stop")
     return parser
 
@@ -66,10 +72,6 @@ def _compare(options: argparse.Namespace) -> int:
     from vislam.comparison import config as configuration  # noqa: PLC0415
 
     refuse_bad_check_options(options)
-    if options.workers is not None and (options.workers < 1 or not options.robustness):
-        raise ConfigError(
-            f"--workers is the number of processes of --robustness, 1 or more; got {options.workers}"
-        )
     if options.data is not None:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 
@@ -86,8 +88,14 @@ def _compare(options: argparse.Namespace) -> int:
         return 0
     from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.compare import compare  # noqa: PLC0415
+    from vislam.comparison.considering import wanted  # noqa: PLC0415
     from vislam.comparison.results import conclude  # noqa: PLC0415
 
+    if options.workers is not None and (options.workers < 1 or not (options.robustness or wanted(config))):
+        raise ConfigError(
+            "--workers is the number of processes of --robustness, and of the config's consider and "
+            f"sandwich, 1 or more; got {options.workers}"
+        )
     outcome = compare(
         config,
         out=options.out,
@@ -99,6 +107,7 @@ def _compare(options: argparse.Namespace) -> int:
         tolerance=options.tolerance,
         report=not options.no_report,
         fresh=options.fresh,
+        processes=options.workers or len(os.sched_getaffinity(0)),
     )
     if options.robustness and not outcome.results.interrupted:
         outcome = _robust(outcome, options)

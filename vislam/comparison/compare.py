@@ -15,6 +15,7 @@ from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
 from vislam.comparison.bounding import drive_bound, refuse_unbounded
 from vislam.comparison.config import LIST_MAKER, Config
+from vislam.comparison.considering import Given, considered, refuse_doubled, wanted
 from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
@@ -36,6 +37,7 @@ from vislam.core.estimator import Estimator, Problem, VerticalVelocityNoise
 from vislam.core.lagged import Lags
 from vislam.core.observation_set import FrozenList
 from vislam.core.record import Record, Tracks
+from vislam.core.run import Run
 from vislam.datasets.find import search_path
 from vislam.evaluation.held_out import hold_out
 from vislam.models import Kernel, TrackNoise, independent_sigma
@@ -66,6 +68,7 @@ def compare(
     tolerance: float = 0.05,
     report: bool = True,
     fresh: bool = False,
+    processes: int = 1,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
@@ -73,7 +76,7 @@ def compare(
     is written when it has ended; a later start runs those that are missing or incomplete, or all if it is to
     start ``fresh``. The checks of the config are judged; ``against`` names saved results for them, which no
     error may exceed by more than the share ``tolerance`` if they say nothing else of them. ``report`` says
-    whether a page is wanted.
+    whether a page is wanted. ``processes`` share the further runs of ``consider`` and ``sandwich``.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def compare(
     if not fresh:
         prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
     Results(config, prepared.record, {}).begin(folder)
-    results = replace(prepared.run(), spread=read_spread(folder))
+    results = replace(prepared.run(processes), spread=read_spread(folder))
     for line in told_of_rerun(keeper.found, tuple(results.runs), again=again):
         progress.note(line)
     published = publish(results, folder, checklist, report=report)
@@ -168,19 +171,41 @@ class Prepared:
     runner : Runner
     estimators : dict of str to Estimator or Unbuilt
         By the name of their run, in order.
+    problem : Problem
+        What each of them was built from, but for gate and kernel.
     """
 
     config: Config
     record: Record
     runner: Runner
     estimators: Mapping[str, Estimator | Unbuilt]
+    problem: Problem
 
-    def run(self) -> Results:
-        """Run the estimators; one that fails is marked, and the others run all the same."""
+    def run(self, processes: int = 1) -> Results:
+        """Run the estimators; one that fails is marked, and the others run all the same.
+
+        ``processes`` share what is run for covariances beside the estimators' own.
+        """
         runs, interrupted = self.runner.run_all(
             self.estimators, frozen=self.record.frozen, gates_from=self.config.gates_from
         )
+        if wanted(self.config) and not interrupted:
+            interrupted = self._consider(runs, processes)
         return Results(self.config, self.record, runs, interrupted)
+
+    def _consider(self, runs: dict[str, Run], processes: int) -> bool:
+        """Replace runs by those with covariances beside their own, and say whether it was interrupted."""
+        runner, frozen, by = self.runner, self.record.frozen, self.config.gates_from
+        usable = {name: runner.given(name, runs, frozen=frozen, gates_from=by) for name in runs}
+        given = Given(self.config, self.problem, runner.sequence, runner.sigma)
+        found = considered(runs, given, usable=usable, processes=processes, progress=runner.progress)
+        try:
+            for run in found:
+                runner.keeper.keep(run)
+                runs[run.name] = run
+        except Interrupted:
+            return True
+        return False
 
 
 def prepare(
@@ -213,6 +238,7 @@ def prepare(
     require_usable(dataset)
     refuse_unbounded(config)
     found = members(config)
+    refuse_doubled(config, make_problem(config, dataset))
     estimators = build_estimators(config, dataset, found, listed=bool(config.common_set_from))
     for note in dataset.notes:
         progress.note(note)
@@ -244,7 +270,7 @@ def prepare(
     given = Tracks.of(dataset.sequence, sigma)
     bound = drive_bound(config, dataset, given)
     record = replace(_record(dataset, given, kept_back, frozen=frozen), bound=bound)
-    return Prepared(config, record, runner, estimators)
+    return Prepared(config, record, runner, estimators, make_problem(config, dataset))
 
 
 def run_comparison(config: Config, dataset: Dataset, progress: Progress) -> Results:

@@ -1,6 +1,6 @@
 """The configuration: a frozen tree of dataclasses, loaded from YAML once, every default a value."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 from vislam.base.fields import STRICT, NonNegative, Positive, Seed
 from vislam.base.settings import OTHER, Remark, Title, dump, inline, parse, put, read
 from vislam.checks.settings import Check
+from vislam.core.shared_errors import PARAMETERS
 from vislam.datasets.registry import OWN, formats
 from vislam.datasets.settings import ClementMat, CourseNpy, CourseNpz, Kitti00, ReferenceConfig, TracksNpz
 from vislam.models import shared_errors
@@ -19,6 +20,7 @@ from vislam.simulation.settings import SimulationConfig
 
 __all__ = [
     "Config",
+    "ConsiderConfig",
     "DataConfig",
     "HeldOutConfig",
     "InertialConfig",
@@ -27,6 +29,7 @@ __all__ = [
     "OtherSource",
     "PackagedConfig",
     "RedrawConfig",
+    "SandwichConfig",
     "SharedWalkConfig",
     "SimulationSource",
     "Six",
@@ -66,6 +69,8 @@ class PackagedConfig:
     """White noise of the made velocity, one value a frame [m/s]."""
 
 
+Two = tuple[NonNegative, NonNegative]
+Three = tuple[NonNegative, NonNegative, NonNegative]
 Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 
@@ -326,6 +331,44 @@ class HeldOutConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ConsiderConfig:
+    """Standard deviations of errors that all observations share and nobody estimates; 0: there is none.
+
+    One number holds for all components of a parameter, or there is one for each.
+    """
+
+    camera_rotation: NonNegative | Three = 0.0
+    """Turn of the camera in the body about the camera's axes: right, down, ahead [rad]."""
+    disparity_offset: NonNegative = 0.0
+    """Constant error of all disparities [px]."""
+    principal_point: NonNegative | Two = 0.0
+    """Principal point of both images: column, row [px]."""
+    focal_scale: NonNegative = 0.0
+    """Share by which both focal lengths are off."""
+    clock: NonNegative = 0.0
+    """Offset of the inertial stamps from the camera's [s]."""
+    velocity_direction: NonNegative | Two = 0.0
+    """Direction of the recorded velocity in the body, to the left and up [rad]."""
+
+    def components(self) -> Iterator[tuple[str, int, float]]:
+        """Parameter, index and standard deviation of each component that is not 0."""
+        for name, parameter in PARAMETERS.items():
+            given = getattr(self, name)
+            size = len(parameter.components)
+            for index, sigma in enumerate(given if isinstance(given, tuple) else (given,) * size):
+                if sigma > 0.0:
+                    yield name, index, sigma
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class SandwichConfig:
+    """Covariances from the scores of blocks of time, as a second opinion."""
+
+    blocks: Annotated[int, Field(ge=2, le=200)] = 10
+    """Blocks of as many frames each, one run for each of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Config:
     """One comparison."""
 
@@ -345,6 +388,11 @@ class Config:
     are Gaussian. A run may have another by a ``kernel`` of its own section. Who cannot take it is named as of
     unequal information; with it there is no NIS and no fit, as weighted residuals are no chi-square
     numbers."""
+    consider: ConsiderConfig = ConsiderConfig()
+    """Errors that all observations share, which no estimator estimates: each run with covariances is repeated
+    for each component that is not 0, and has covariances with these errors beside its own."""
+    sandwich: SandwichConfig | None = None
+    """Covariances from the scores of blocks of time beside the estimators' own; null: none."""
     gates_from: str | None = None
     """Estimator whose gate decisions hold for all that run after it; null: each for itself. Without a meaning
     where there is ``common_set_from``."""

@@ -94,9 +94,9 @@ def members(config: Config) -> dict[str, Member]:
     by = config.gates_from
     if by is not None and by not in config.estimators:
         raise ConfigError(f"gates_from: expected a run ({', '.join(config.estimators)}) or null, got {by}")
-    found = {name: _member(name, section) for name, section in config.estimators.items()}
-    for name, member in found.items():
-        if member.takes_all and not config.common_set_from:
+    found = {name: member(name, section) for name, section in config.estimators.items()}
+    for name, one in found.items():
+        if one.takes_all and not config.common_set_from:
             raise ConfigError(
                 f"estimators.{name}.observations: all are given anyway unless there is common_set_from"
             )
@@ -114,7 +114,8 @@ def _list_maker(name: str) -> Member:
     return Member(estimator.find(name, section="common_set_from"), options, takes_all=False)
 
 
-def _member(name: str, section: Mapping[str, Any]) -> Member:
+def member(name: str, section: Mapping[str, Any]) -> Member:
+    """One run of a comparison by its name and section; a ConfigError names the key."""
     if not re.fullmatch(r"\w[\w.+-]{0,47}", name):
         raise ConfigError(
             f"estimators.{name[:80]}: expected letters, digits, '_', '.', '+' and '-', at most 48, as files "

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -97,19 +98,15 @@ class Runner:
         Each run is kept as soon as it has ended, whatever becomes of those after it. One that was interrupted
         keeps the frames that it had done; those that were not reached have none.
         """
-        everything = np.ones(self.sequence.observations, bool)
-        usable = everything if frozen is None else frozen.kept
         runs: dict[str, Run] = {}
         kept: set[str] = set()
         interrupted = False
         try:
             for name, solver in estimators.items():
-                exempt = frozen is not None and name in frozen.exempt
-                runs[name] = self._found(solver, name, everything if exempt else usable)
+                usable = self.given(name, runs, frozen=frozen, gates_from=gates_from)
+                runs[name] = self._found(solver, name, usable)
                 self.keeper.keep(runs[name])
                 kept.add(name)
-                if frozen is None and name == gates_from:
-                    usable = ~runs[name].gated
         except loop.RunInterrupted as stop:
             runs[stop.run.name], interrupted = stop.run, True
         except Interrupted:
@@ -121,6 +118,17 @@ class Runner:
             name: runs[name] if name in runs else loop.not_run(name, self.sequence, reason)
             for name in estimators
         }, interrupted
+
+    def given(
+        self, name: str, runs: Mapping[str, Run], *, frozen: FrozenList | None, gates_from: str | None
+    ) -> BoolArray:
+        """Which observations ``(n,)`` a run is given, where ``runs`` has those before it, in their order."""
+        if frozen is not None and name not in frozen.exempt:
+            return frozen.kept
+        before = list(takewhile(lambda other: other != name, runs))
+        if frozen is None and gates_from is not None and gates_from in before:
+            return ~runs[gates_from].gated
+        return np.ones(self.sequence.observations, bool)
 
     def _found(
         self, solver: Estimator | Unbuilt, name: str, usable: BoolArray, *, preparatory: bool = False

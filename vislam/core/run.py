@@ -9,6 +9,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.archive import read_archive, write_archive
+from vislam.core.changes import Changes
 from vislam.core.lagged import Lagged
 from vislam.core.schema import (
     DIRECTION,
@@ -34,6 +35,11 @@ Estimate = Literal["filtered", "smoothed"]
 """An estimate of the trajectory: each pose from the data up to its frame, or from all data."""
 ESTIMATES: tuple[Estimate, ...] = get_args(Estimate)
 """Both, in the order in which they come about."""
+Beside = Literal["considered", "sandwich"]
+"""A covariance beside the estimator's own: with the errors that all observations share considered, or from
+the scores of blocks of time."""
+BESIDE: tuple[Beside, ...] = get_args(Beside)
+"""Both, in the order in which they are told."""
 _TABLE: Table = {
     "name": Plain(str),
     "frames_expected": Plain(Count),
@@ -76,6 +82,16 @@ _TABLE: Table = {
     "lagged.lag": whole("l", INCREASING, NOT_NEGATIVE),
     "lagged.world_T_imu": real("l T 4 4", RIGID),
     "lagged.cov": real("l T 6 6", gaps=True),
+    "considered": Section(optional=True, later=True),
+    "considered.cause": Plain(tuple[str, ...]),
+    "considered.filtered": real("c T 6"),
+    "considered.smoothed": real("c T 6", optional=True),
+    "considered.seconds": Plain(Level),
+    "sandwich": Section(optional=True, later=True),
+    "sandwich.cause": Plain(tuple[str, ...]),
+    "sandwich.filtered": real("b T 6"),
+    "sandwich.smoothed": real("b T 6", optional=True),
+    "sandwich.seconds": Plain(Level),
 }
 """The fields of a saved run: type, shape and range of each, a letter for each size."""
 
@@ -170,6 +186,8 @@ _PARTS: dict[str, Callable[..., Any]] = {
     "map": Landmarks,
     "log": Log,
     "lagged": Lagged,
+    "considered": Changes,
+    "sandwich": Changes,
 }
 
 
@@ -212,6 +230,11 @@ class Run:
         outliers. Empty if it does not say.
     lagged : Lagged or None
         The poses as known at some lags; None where that was not asked for, or cannot be told.
+    considered : Changes or None
+        Of the poses by the errors that all observations share, one standard deviation of each; None where
+        none is considered.
+    sandwich : Changes or None
+        Of the poses by the weight of the observations of each block of time; None where not asked for.
     """
 
     name: str
@@ -234,6 +257,8 @@ class Run:
     identity: str = ""
     information: dict[str, str] = field(default_factory=dict)
     lagged: Lagged | None = None
+    considered: Changes | None = None
+    sandwich: Changes | None = None
 
     @classmethod
     def without_frames(cls, name: str, log: Log, *, frames_expected: int, observations: int) -> "Run":
@@ -273,6 +298,35 @@ class Run:
         if estimate == "smoothed" and self.smoothed is None:
             raise ValueError(f"{self.name}: expected a run with smoothed poses")
         return self.final
+
+    @property
+    def beside(self) -> tuple[Beside, ...]:
+        """Which covariances it has beside its own."""
+        return tuple(kind for kind in BESIDE if getattr(self, kind) is not None)
+
+    def with_changes(self, kind: Beside, found: Changes) -> "Run":
+        """Return the run with changes of its poses."""
+        if kind == "considered":
+            return replace(self, considered=found)
+        return replace(self, sandwich=found)
+
+    def with_covariances(self, kind: Beside) -> "Run":
+        """Return the run with other covariances of its poses in place of its own.
+
+        ``considered``: its own and what the shared errors add, ``P + sum s s^T``, NaN where it has none of
+        its own. ``sandwich``: what the scores of the blocks come to, whatever its own are. A ValueError if
+        the run does not have them.
+        """
+        found: Changes | None = getattr(self, kind)
+        if found is None:
+            raise ValueError(f"{self.name}: expected a run with covariances of kind {kind}")
+
+        def other(poses: Poses, *, smoothed: bool) -> Poses:
+            own = poses.covariances if kind == "considered" else 0.0
+            return Poses(poses.world_T_imu, own + found.covariance(smoothed=smoothed))
+
+        after = None if self.smoothed is None else other(self.smoothed, smoothed=True)
+        return replace(self, filtered=other(self.filtered, smoothed=False), smoothed=after)
 
     @property
     def landmarks(self) -> Landmarks:
