@@ -20,6 +20,7 @@ from vislam.core.estimator import Problem
 from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.core.trajectory import Landmarks
+from vislam.estimators.former import current
 from vislam.geometry import se3, so3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE
@@ -67,14 +68,21 @@ class ReportEkfOptions:
     """What the correction of the pose is multiplied by; the report's Fig. 5 was made with 0.01."""
     every: Annotated[int, Field(ge=1)] = 20
     """One track in so many is used."""
-    finished: Literal["kept", "dropped"] = "kept"
-    """What becomes of a landmark whose track has ended: it stays, as in the report, or it leaves the state
-    with what is known of it. The poses are the same; the time is not: a step costs the cube of the state."""
+    ended_tracks: Literal["kept", "marginalised"] = "kept"
+    """What becomes of a landmark whose track has ended: it is kept, as in the course report, or marginalised.
+    The poses are the same; the time is not: a step costs the cube of the state."""
+
+
+RENAMED = {"finished": "ended_tracks"}
+RENAMED_VALUES = {"ended_tracks": {"dropped": "marginalised"}}
+"""Former names of options and of their values, accepted for one version."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "ReportEkf":
     """Build the filter from a problem and the options of its config section."""
-    return ReportEkf(problem, settings.parse(ReportEkfOptions, dict(options), at="estimators.report_ekf"))
+    at = "estimators.report_ekf"
+    renamed = current(options, at=at, names=RENAMED, values=RENAMED_VALUES)
+    return ReportEkf(problem, settings.parse(ReportEkfOptions, renamed, at=at))
 
 
 class ReportEkf:
@@ -112,7 +120,7 @@ class ReportEkf:
         if frame.k > 0:
             self._predict(frame)
         wanted = frame.stereo.usable & (frame.stereo.track % self._options.every == 0)
-        if self._options.finished == "dropped":
+        if self._options.ended_tracks == "marginalised":
             self._drop(~np.isin(self.track, frame.stereo.track))
         known = np.isin(frame.stereo.track, self.track)
         # A point without a disparity has no place.

@@ -26,8 +26,8 @@ from vislam.estimators.ekf import EkfOptions
 from vislam.estimators.ekf.layout import LANDMARK
 from vislam.models.odometry import NAV
 
-MEMBERS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.MEMBERS[name]) for name in ("ekf", "eks")}
-"""The members that are timed: the standard filter, and the one that takes the most steps back."""
+VARIANTS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.VARIANTS[name]) for name in ("ekf", "eks")}
+"""The variants that are timed: the standard filter, and the one that takes the most steps back."""
 _POSE = 6
 _VECTORS = 7
 """Columns of the adjoint's vectors."""
@@ -170,17 +170,17 @@ class Replay:
 
 
 def measure(drive: Drive, *, repeats: int) -> Part:
-    """Run each member over a drive, and then its linear algebra alone."""
+    """Run each variant over a sequence, and then its linear algebra alone."""
     rows, values = [], {}
-    for member, options in MEMBERS.items():
+    for variant, options in VARIANTS.items():
         with threadpool_limits(1):
             run = quickest([timed(drive, options) for _ in range(repeats)])
         forward, backward = replay(run.sizes, options, repeats=repeats)
         ratios = run.forward / forward, run.backward / backward
         passes = ((run.forward, forward), (run.backward, backward))
         told = [f"{taken:.2f} / {least:.2f}" for taken, least in passes]
-        rows.append([member, told[0], f"{ratios[0]:.2f}", told[1], f"{ratios[1]:.2f}"])
-        values[member] = {"forward_ratio": ratios[0], "backward_ratio": ratios[1]}
+        rows.append([variant, told[0], f"{ratios[0]:.2f}", told[1], f"{ratios[1]:.2f}"])
+        values[variant] = {"forward_ratio": ratios[0], "backward_ratio": ratios[1]}
     return Part(
         title=f"floor: {drive.name}, the filter against its own linear algebra, 1 BLAS thread",
         header=["member", "forward, its floor [s]", "ratio", "backward, its floor [s]", "ratio"],

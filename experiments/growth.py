@@ -120,7 +120,7 @@ def grown(estimator: str, frames: int, window: int, warm: int) -> Growth:
 
 
 def _filtered(drive: Drive, watch: Callable[[int], None]) -> Array:
-    solver = EkfEstimator(drive.problem, EkfOptions(finished="as_left"))
+    solver = EkfEstimator(drive.problem, EkfOptions(marginalised_landmarks="filtered"))
     times = []
     with threadpool_limits(1):
         for frame in drive.sequence.frames(drive.sigma):

@@ -108,7 +108,7 @@ def inside_gtsam(drive: Drive) -> Part:
     runs = {name: smoothed(drive, options) for name, options in RUNS.items()}
     return Part(
         title=f"gtsam: {drive.name}, {len(drive.sequence)} frames, 1 thread",
-        header=["run", "step, mean [ms]", "outside GTSAM", "last tenth/first", "final/steps", "rescues"],
+        header=["run", "step, mean [ms]", "outside GTSAM", "last tenth/first", "final/steps", "recoveries"],
         rows=[
             [
                 name,
@@ -116,7 +116,7 @@ def inside_gtsam(drive: Drive) -> Part:
                 f"{100 * run.outside:.0f} %",
                 f"{run.last_of_first:.2f}",
                 f"{run.final_time / run.step_time.sum():.2f}",
-                f"{run.final.counts['rescues']}",
+                f"{run.final.counts['recoveries']}",
             ]
             for name, run in runs.items()
         ],

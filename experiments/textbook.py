@@ -81,7 +81,7 @@ def tracks(drive: Drive, *, frames: int, tenths: Sequence[int] = TENTHS) -> Part
     found = []
     with threadpool_limits(1):
         for kept in tenths:
-            run = timed(beginning.thinned(track % 10 < kept), EkfOptions(finished="as_left"))
+            run = timed(beginning.thinned(track % 10 < kept), EkfOptions(marginalised_landmarks="filtered"))
             held = [sizes.known + sizes.new for sizes in run.sizes[1:]]
             found.append((float(np.mean(held)), float(np.median(run.step_time[1:]))))
     in_view, step = np.array(found).T

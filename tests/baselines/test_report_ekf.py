@@ -29,7 +29,7 @@ MENDED = {
     "bias": True,
     "gate": True,
     "every": 1,
-    "finished": "dropped",
+    "ended_tracks": "marginalised",
 }
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -40,7 +40,7 @@ def filtered(config, dataset, **options) -> Run:
 
 
 def ours(config, dataset) -> Run:
-    options = EkfOptions(track_errors="independent", finished="as_left")
+    options = EkfOptions(track_errors="independent", marginalised_landmarks="filtered")
     estimator = EkfEstimator(make_problem(config, dataset), options)
     return run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
 
@@ -134,7 +134,9 @@ def test_with_no_gain_it_is_dead_reckoning_by_first_samples():
 @pytest.mark.slow
 def test_landmarks_that_leave_change_no_pose():
     config, dataset = drive(seed=4, frames=40)
-    both = [filtered(config, dataset, **{**MENDED, "finished": form}) for form in ("kept", "dropped")]
+    both = [
+        filtered(config, dataset, **{**MENDED, "ended_tracks": form}) for form in ("kept", "marginalised")
+    ]
     assert np.allclose(both[0].final.world_T_imu, both[1].final.world_T_imu, atol=1e-9)
     assert np.array_equal(both[0].landmarks.track, both[1].landmarks.track)
 

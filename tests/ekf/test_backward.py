@@ -20,8 +20,8 @@ from vislam.estimators.loop import run
 
 FORMS = [
     pytest.param({"error": error, "landmarks": landmarks}, id=f"{error}-{landmarks}")
-    for error in ("standard", "first_estimates", "invariant")
-    for landmarks in ("point", "disparity")
+    for error in ("standard", "fej", "invariant")
+    for landmarks in ("point", "anchored_uvd")
 ]
 CONFIGS = Path(__file__).parents[2] / "configs"
 RELATIVE = 1e-8
@@ -48,8 +48,8 @@ def off(found: Array, expected: Array) -> float:
 def world(dense: DenseFilter) -> tuple[Array, Array, Array]:
     """Points, marginal covariances and cross-covariances with the pose, tracks ascending."""
     order = np.argsort(dense.track)
-    chart = dense._camera.chart
-    points, jacobian = chart.points(dense.landmarks[order, :3])
+    parametrisation = dense._camera.parametrisation
+    points, jacobian = parametrisation.points(dense.landmarks[order, :3])
     anchors = dense.anchors[order]
     turned = anchors[:, :3, :3] @ jacobian
     places = [dense.place["landmark", dense.track[slot]].start for slot in order]
@@ -84,7 +84,9 @@ def test_it_is_later_data_that_make_the_difference(short: Dataset, short_config:
     _, dense, _ = both(short, short_config)
     problem = make_problem(short_config, short)
     left = run(
-        EkfEstimator(problem, EkfOptions(gate=False, finished="as_left", track_errors="states")),
+        EkfEstimator(
+            problem, EkfOptions(gate=False, marginalised_landmarks="filtered", track_errors="states")
+        ),
         short.sequence,
         pixel_sigma(short_config, short),
         name="left",

@@ -12,7 +12,7 @@ from vislam.comparison.config import Config, DataConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.run import Run
 from vislam.core.step import TWIST_BIAS
-from vislam.estimators.ekf import EkfEstimator, EkfOptions, chart
+from vislam.estimators.ekf import EkfEstimator, EkfOptions, parametrisation
 from vislam.estimators.ekf.dense import DenseFilter
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
@@ -139,7 +139,7 @@ def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
     projected = -np.eye(3, size)
     with pytest.raises(DivergedError, match="smallest eigenvalue of H P H' is -1"):
         Update.of(jacobian, projected, -np.eye(3), np.zeros(3))
-    camera_free = chart.make("point", StereoRig(1.0, 1.0, 0.0, 0.0, 1.0, np.eye(4)))
+    camera_free = parametrisation.make("point", StereoRig(1.0, 1.0, 0.0, 0.0, 1.0, np.eye(4)))
     state = JointState(camera_free, "standard", layout, nav=np.zeros(size), sigma=np.full(size, 0.5))
     with pytest.raises(DivergedError, match=r"covariance lost, smallest eigenvalue -0\.75"):
         state.correct(Update.of(jacobian, np.eye(3, size), np.eye(3), np.zeros(3)))

@@ -13,7 +13,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 
 LAGS = (0, 1, 2, 5, 10, 23)
-FORMS = [("standard", "point"), ("first_estimates", "disparity"), ("invariant", "disparity")]
+FORMS = [("standard", "point"), ("fej", "anchored_uvd"), ("invariant", "anchored_uvd")]
 MOTIONS = {"odometry": {}, "smooth": {"acceleration_density": (0.1, 0.1, 0.1, 1.0, 1.0, 1.0)}}
 
 
@@ -68,5 +68,5 @@ def test_asking_changes_nothing_that_is_estimated(short, short_config):
 
 def test_without_the_way_back_there_are_lags_and_no_end(short, short_config):
     asked = replace(short_config, lags=(0, 3))
-    found = made(short, asked, smoothed=False, finished="as_left")
+    found = made(short, asked, smoothed=False, marginalised_landmarks="filtered")
     assert list(dict(found.lagged)) == [0, 3]

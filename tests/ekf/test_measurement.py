@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam.estimators.ekf import chart
+from vislam.estimators.ekf import parametrisation
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.ekf.motion import up_axis
@@ -12,7 +12,7 @@ from vislam.models import StereoRig
 
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 N = 6
-both = pytest.mark.parametrize("kind", ["point", "disparity"])
+both = pytest.mark.parametrize("kind", ["point", "anchored_uvd"])
 BLOCKS = {"camera_rotation": 3, "disparity_offset": 1, "principal_point": 2, "focal_scale": 1}
 LAYOUT = NavLayout({"twist_bias": 6, **BLOCKS})
 OFFSET = LAYOUT["disparity_offset"].start
@@ -22,8 +22,8 @@ SHARED = LAYOUT["camera_rotation"].start
 class Scene:
     """Landmarks seen first from one pose and now from another."""
 
-    def __init__(self, kind: chart.Coordinates, rng: np.random.Generator) -> None:
-        self.camera = Camera(RIG, chart.make(kind, RIG), LAYOUT)
+    def __init__(self, kind: parametrisation.ParametrisationName, rng: np.random.Generator) -> None:
+        self.camera = Camera(RIG, parametrisation.make(kind, RIG), LAYOUT)
         self.pose = se3.exp(rng.normal(size=6))
         self.nav = np.zeros(LAYOUT.size)
         self.nav[SHARED:] = rng.normal(0.0, [0.05, 0.05, 0.05, 0.7, 8.0, 8.0, 0.03])
@@ -67,7 +67,7 @@ def test_a_landmark_is_seen_where_its_point_projects(scene):
     in_camera = se3.transform(se3.inverse(scene.now @ scene.rig.imu_T_cam), scene.points)
     assert np.allclose(scene.predict(), scene.project(in_camera))
     assert np.allclose(scene.view().depth, in_camera[:, 2])
-    points, _ = scene.camera.chart.points(scene.landmarks[:, :3])
+    points, _ = scene.camera.parametrisation.points(scene.landmarks[:, :3])
     assert np.allclose(
         np.einsum("nij,nj->ni", scene.anchors, np.column_stack([points, np.ones(N)]))[:, :3], scene.points
     )
@@ -107,9 +107,9 @@ def test_initialisation_jacobians(scene):
 
     def coordinates(pose, z, nav=scene.nav):
         anchors, landmarks, _, _ = scene.camera.initialise(pose, nav, z)
-        homogeneous = scene.camera.chart.homogeneous(landmarks[:, :3])
+        homogeneous = scene.camera.parametrisation.homogeneous(landmarks[:, :3])
         moved = np.linalg.inv(scene.anchors) @ anchors @ homogeneous[:, :, None]
-        return scene.camera.chart.coordinates(moved[:, :, 0])
+        return scene.camera.parametrisation.coordinates(moved[:, :, 0])
 
     for axis, unit in enumerate(np.eye(6)):
         found = slope(
@@ -145,11 +145,12 @@ def test_a_point_drifts_by_the_pixels_it_is_told_to(scene):
 
 @both
 def test_a_motion_of_the_anchor_moves_the_coordinates(scene):
-    found = scene.camera.chart.moved(scene.landmarks[:, :3])
-    homogeneous = scene.camera.chart.homogeneous(scene.landmarks[:, :3])
+    found = scene.camera.parametrisation.moved(scene.landmarks[:, :3])
+    homogeneous = scene.camera.parametrisation.homogeneous(scene.landmarks[:, :3])
     for axis, unit in enumerate(np.eye(6)):
         expected = slope(
-            lambda h, unit=unit: scene.camera.chart.coordinates(homogeneous @ se3.exp(h * unit).T), 1e-5
+            lambda h, unit=unit: scene.camera.parametrisation.coordinates(homogeneous @ se3.exp(h * unit).T),
+            1e-5,
         )
         assert np.allclose(found[:, :, axis], expected, rtol=1e-5, atol=1e-6)
 
@@ -162,14 +163,14 @@ def test_what_pose_and_landmarks_share_cannot_be_seen(scene):
     """
     by_nav, by_landmark = scene.view().jacobians()
     of_pose = se3.adjoint(se3.inverse(scene.now))
-    moved = scene.camera.chart.moved(scene.landmarks[:, :3])
+    moved = scene.camera.parametrisation.moved(scene.landmarks[:, :3])
     of_landmarks = moved @ se3.adjoint(se3.inverse(scene.anchors))
     seen = by_nav[:, :, :6] @ of_pose + by_landmark[:, :, :3] @ of_landmarks
     assert np.abs(seen).max() < 1e-9 * np.abs(by_nav).max()
 
 
 def test_a_point_at_infinity_and_beyond_is_no_exception(rng):
-    scene = Scene("disparity", rng)
+    scene = Scene("anchored_uvd", rng)
     scene.landmarks[:2, 2] = [0.0, -0.1]
     z = scene.predict()
     by_nav, by_landmark = scene.view().jacobians()

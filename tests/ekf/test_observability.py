@@ -19,34 +19,34 @@ NOTHING = 1e-9
 
 def gained(dataset, config, **options):
     """Information ``(6,)`` gained over all frames."""
-    options = {"gate": False, "finished": "as_left", "observability": True, **options}
+    options = {"gate": False, "marginalised_landmarks": "filtered", "observability": True, **options}
     solver = EkfEstimator(make_problem(config, dataset), EkfOptions(**options))
     run = loop.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
     assert run.complete
     return run.innovations.world_gained.sum(axis=0)
 
 
-@pytest.mark.parametrize("landmarks", ["point", "disparity"])
+@pytest.mark.parametrize("landmarks", ["point", "anchored_uvd"])
 def test_only_the_standard_filter_gains_what_cannot_be_known(short, short_config, landmarks):
     standard = gained(short, short_config, landmarks=landmarks)
     assert np.all(standard > 1.0)
-    for error in ("first_estimates", "invariant"):
+    for error in ("fej", "invariant"):
         found = gained(short, short_config, landmarks=landmarks, error=error)
         assert np.all(found < NOTHING * standard)
 
 
-@pytest.mark.parametrize("landmarks", ["point", "disparity"])
+@pytest.mark.parametrize("landmarks", ["point", "anchored_uvd"])
 @pytest.mark.parametrize("walk", [0.0, 1e-3])
 def test_errors_that_all_tracks_share_change_nothing_of_it(short, short_config, landmarks, walk):
     """With all of them estimated: a motion of the world leaves them as they are."""
     config = replace(short_config, noise=replace(short_config.noise, **every_shared_error(walk)))
     standard = gained(short, config, landmarks=landmarks)
     assert np.all(standard > 1.0)
-    for error in ("first_estimates", "invariant"):
+    for error in ("fej", "invariant"):
         assert np.all(gained(short, config, landmarks=landmarks, error=error) < NOTHING * standard)
 
 
-@pytest.mark.parametrize("error", ["first_estimates", "invariant"])
+@pytest.mark.parametrize("error", ["fej", "invariant"])
 def test_a_wrong_sign_is_seen(short, short_config, error, monkeypatch):
     standard, true = gained(short, short_config), View.jacobians
 
@@ -74,8 +74,10 @@ def test_coordinates_that_are_not_reset_are_seen(short, short_config, monkeypatc
 def test_the_way_back_takes_nothing_from_the_meter(short, short_config):
     """Steps are kept for it as well."""
     alone = gained(short, short_config)
-    assert np.array_equal(gained(short, short_config, finished="smoothed"), alone)
-    assert np.array_equal(gained(short, short_config, finished="smoothed", memory_mb=0.1), alone)
+    assert np.array_equal(gained(short, short_config, marginalised_landmarks="smoothed"), alone)
+    assert np.array_equal(
+        gained(short, short_config, marginalised_landmarks="smoothed", memory_mb=0.1), alone
+    )
 
 
 def test_the_noise_of_an_update_is_found_in_it(short, short_config):

@@ -117,12 +117,14 @@ def test_the_config_says_what_is_kept():
     assert data.repair.interruptions == Interruptions()
 
 
-@pytest.mark.parametrize("finished", ["smoothed", "as_left"])
-def test_a_landmark_that_was_forgotten_is_told_once(gaps, short_config, finished):
+@pytest.mark.parametrize("kind", ["smoothed", "filtered"])
+def test_a_landmark_that_was_forgotten_is_told_once(gaps, short_config, kind):
     """Repairs behind the one that renames ids can take observations, and with them who was seen last."""
     few = keeping(short_config, LandmarksConfig(kept="most 2"))
     assert come_back(gaps.sequence) > 5
-    estimator = find("ekf_invariant")(make_problem(few, gaps), {"finished": finished, "gate": False})
+    estimator = find("ekf_invariant")(
+        make_problem(few, gaps), {"marginalised_landmarks": kind, "gate": False}
+    )
     found = run(estimator, gaps.sequence, pixel_sigma(few, gaps), name="ekf")
     assert found.complete, found.log.error
     assert len(np.unique(found.map.track)) == len(found.map.track)

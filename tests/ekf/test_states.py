@@ -24,7 +24,7 @@ from vislam.repair import RepairConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import Disparity
 
-INVARIANT = {"error": "invariant", "landmarks": "disparity"}
+INVARIANT = {"error": "invariant", "landmarks": "anchored_uvd"}
 
 
 def drive(
@@ -164,7 +164,8 @@ def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config:
     """There the correction is ``P H^T R^-1`` times what is left of the innovation, H taken there, too."""
     problem = make_problem(short_config, short)
     estimator = EkfEstimator(
-        problem, EkfOptions(gate=False, iterations=20, finished="as_left", track_errors="states")
+        problem,
+        EkfOptions(gate=False, iterations=20, marginalised_landmarks="filtered", track_errors="states"),
     )
     checked = []
 
@@ -195,8 +196,8 @@ def test_iterations_end_at_the_most_probable_state(short: Dataset, short_config:
     [
         ({"iterations": 0}, "iterations must be at least 1, got 0"),
         ({"iterations": 3, "error": "invariant"}, "only the standard error can be iterated"),
-        ({"smoothed": True, "finished": "as_left"}, "smoothed poses need the way back"),
-        ({"landmarks": "line"}, r"ekf\.landmarks: .*'point' or 'disparity', got 'line'"),
+        ({"smoothed": True, "marginalised_landmarks": "filtered"}, "smoothed poses need the backward pass"),
+        ({"landmarks": "line"}, r"ekf\.landmarks: .*'point' or 'anchored_uvd', got 'line'"),
     ],
 )
 def test_options_without_a_meaning_get_a_line(short: Dataset, short_config: Config, options, message):
@@ -207,7 +208,7 @@ def test_options_without_a_meaning_get_a_line(short: Dataset, short_config: Conf
 @pytest.mark.parametrize("member", ["ekf", "ekf_fej", "ekf_invariant"])
 def test_the_covariance_stays_symmetric_and_positive(short_config: Config, member):
     config, dataset = drive(short_config, seed=11, frames=80)
-    estimator = find(member)(make_problem(config, dataset), {"finished": "as_left"})
+    estimator = find(member)(make_problem(config, dataset), {"marginalised_landmarks": "filtered"})
     for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
         estimator.process(frame)
         known = np.diagonal(estimator.state.cov) > 0.0
@@ -259,3 +260,19 @@ def test_pose_and_climbed_height_meet_where_their_variances_say(short_config: Co
     estimator._measure(state, next(iter(dataset.sequence.frames(pixel_sigma(config, dataset)))))
     assert state.world_T_imu[2, 3] == pytest.approx(0.25, abs=1e-3)
     assert state.nav[height] == pytest.approx(0.25, abs=1e-3)
+
+
+def test_former_options_are_accepted_and_noted(short: Dataset, short_config: Config, caplog):
+    problem = make_problem(short_config, short)
+    former = {"finished": "as_left", "error": "first_estimates", "landmarks": "disparity"}
+    built = find("ekf")(problem, former)
+    assert built._options == EkfOptions(
+        marginalised_landmarks="filtered", error="fej", landmarks="anchored_uvd"
+    )
+    (line,) = caplog.messages
+    assert line.startswith("estimators.ekf: finished is now called marginalised_landmarks")
+    assert "error: first_estimates is now called fej" in line
+    with pytest.raises(ConfigError, match="finished is the former name of marginalised_landmarks"):
+        find("ekf")(problem, {"finished": "as_left", "marginalised_landmarks": "smoothed"})
+    smoother = {"start_clearance": 4.0, "max_waiting_views": 9, "max_rescues": 3}
+    assert find("isam2")(problem, smoother)._options.initialisation_snr == 4.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments import floor, speed
-from experiments.floor import MEMBERS
+from experiments.floor import VARIANTS
 from experiments.inside_gtsam import smoothed
 from experiments.speed import PARTS, Bench
 from experiments.textbook import through
@@ -20,16 +20,16 @@ def drive(short, short_config) -> Drive:
     return Drive(short_config, short)
 
 
-@pytest.mark.parametrize("member", MEMBERS)
+@pytest.mark.parametrize("member", VARIANTS)
 def test_the_sizes_that_are_replayed_are_those_of_the_run(drive, member):
-    run = timed(drive, MEMBERS[member])
+    run = timed(drive, VARIANTS[member])
     sequence = drive.sequence
     held = np.array([sizes.known + sizes.new for sizes in run.sizes])
     assert len(run.sizes) == len(run.step_time) == len(sequence)
     assert [sizes.held for sizes in run.sizes] == [0, *held[:-1]]
     assert all(sizes.fused <= sizes.known <= sizes.held for sizes in run.sizes)
     assert sum(sizes.new for sizes in run.sizes) == len(np.unique(sequence.track))
-    assert min(floor.replay(run.sizes, MEMBERS[member], repeats=1)) > 0.0
+    assert min(floor.replay(run.sizes, VARIANTS[member], repeats=1)) > 0.0
 
 
 def test_the_cubic_finds_the_curve_that_the_times_lie_on():

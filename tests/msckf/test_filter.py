@@ -21,7 +21,7 @@ from vislam.geometry import se3
 from vislam.models.kernel import Kernel
 from vislam.testing import check_estimator
 
-FORMS = ("standard", "first_estimates", "invariant")
+FORMS = ("standard", "fej", "invariant")
 
 
 def made(config, dataset, *, kernel=None, **options):
@@ -95,7 +95,7 @@ def test_only_the_standard_form_gains_information_about_the_world(short, short_c
         form: made(short_config, short, error=form).innovations.world_gained.sum(axis=0) for form in FORMS
     }
     assert (gained["standard"] > 1e-3).all()
-    assert (gained["first_estimates"] < 1e-9).all()
+    assert (gained["fej"] < 1e-9).all()
     assert (gained["invariant"] < 1e-9).all()
 
 
@@ -192,7 +192,7 @@ def last_nees(seed, *, share=1.0, **options):
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("form", ["first_estimates", "invariant"])
+@pytest.mark.parametrize("form", ["fej", "invariant"])
 def test_it_is_consistent_over_many_drives(form):
     """Sums of NEES and NIS are chi-square numbers; one test in a thousand would fail by chance."""
     nees, nis, dof = np.sum([last_nees(seed, error=form) for seed in range(30)], axis=0)

@@ -83,7 +83,8 @@ def member(name: str, config: Config, dataset: Dataset, *, sigma: Array | None =
 def filtered(config: Config, dataset: Dataset) -> Run:
     """Run the filter on what the smoothers are told: no gate, independent errors."""
     estimator = EkfEstimator(
-        make_problem(config, dataset), EkfOptions(gate=False, track_errors="independent", finished="as_left")
+        make_problem(config, dataset),
+        EkfOptions(gate=False, track_errors="independent", marginalised_landmarks="filtered"),
     )
     return run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
 

@@ -75,7 +75,7 @@ def test_the_bias_is_what_the_prior_says_and_has_no_standard_deviation(simulated
 def test_other_members_take_it_too(simulated, name):
     run = member(name, *with_noise(simulated, **KNOWN), motion="between")
     assert run.complete
-    assert run.log.counts["rescues"] == 0
+    assert run.log.counts["recoveries"] == 0
 
 
 UNMET = {

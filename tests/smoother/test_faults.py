@@ -68,8 +68,8 @@ def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, shar
     )
     check_usable(run, frames)
     assert run.complete
-    assert run.log.counts["rescues"] > 0
-    assert len(run.log.events) == run.log.counts["rescues"]
+    assert run.log.counts["recoveries"] > 0
+    assert len(run.log.events) == run.log.counts["recoveries"]
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -125,7 +125,7 @@ def test_gnc_finds_the_outliers():
 
 def test_tracks_that_are_never_clear_leave_dead_reckoning():
     config, dataset = drive(seed=8, frames=30, tracks_in_view=20)
-    run = member("isam2", config, dataset, start_clearance=1e6)
+    run = member("isam2", config, dataset, initialisation_snr=1e6)
     assert run.complete
     assert not run.used.any()
     assert len(run.landmarks.track) == 0

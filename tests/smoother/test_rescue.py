@@ -82,7 +82,7 @@ def test_a_step_that_fails_once_is_rescued_and_told(name, simulated, monkeypatch
     plant(monkeypatch, name, 1)
     result, estimator = go(name, simulated, factorization="qr")
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert len(result.log.events) == 1
     assert result.log.events[0].startswith(f"frame {AT}: planted")
     assert len(result.final.world_T_imu) == FRAMES
@@ -98,7 +98,7 @@ def test_a_landmark_that_the_error_names_is_set_aside_alone(name, simulated, pla
     without = plain(name, "qr")
     assert named != [None]
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert result.log.counts["landmarks_set_aside"] == without.log.counts["landmarks_set_aside"] + 1
     assert f"frame {AT}: planted; 1 landmarks set aside, as track " in result.log.events[0]
     gone = set(without.landmarks.track.tolist()) - set(result.landmarks.track.tolist())
@@ -117,7 +117,7 @@ def test_landmarks_that_errors_name_one_after_the_other_are_all_set_aside(name, 
     result, estimator = go(name, simulated, factorization="qr")
     assert len(set(named)) == 3
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert "3 landmarks set aside" in result.log.events[0]
     check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
     assert not {track.key for track in estimator._solver.tracks.landmarks} & set(named)
@@ -137,7 +137,7 @@ def test_a_pose_that_is_not_finite_is_rescued(name, simulated, monkeypatch):
     monkeypatch.setattr(KIND[name], "pose", fails)
     result, estimator = go(name, simulated, factorization="qr")
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert result.log.events[0].startswith(f"frame {AT}: the pose is not finite")
     for track in estimator._solver.tracks.landmarks:
         assert len(set(track.slots)) == len(track.slots)
@@ -156,7 +156,7 @@ def test_a_try_that_fails_when_it_is_read_leaves_the_next_one_its_factors(simula
     monkeypatch.setattr(engine.WholeGraph, "pose", fails)
     result, estimator = go("isam2", simulated, factorization="auto")
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert [event.partition(":")[0] for event in result.log.events] == [f"frame {AT}"]
     held = estimator._solver.engine.factors()
     for track in estimator._solver.tracks.landmarks:
@@ -176,7 +176,7 @@ def test_a_step_that_cholesky_refuses_is_solved_with_qr_and_is_no_rescue(name, s
     result, estimator = go(name, simulated)
     monkeypatch.undo()
     assert result.complete
-    assert result.log.counts["rescues"] == 0
+    assert result.log.counts["recoveries"] == 0
     assert result.log.counts["cholesky_refusals"] == 1
     assert result.log.counts["steps_by_qr"] == 2
     assert result.log.events == (f"frame {AT}: planted to Cholesky; QR for 2 steps",)
@@ -208,7 +208,7 @@ def test_what_cholesky_refuses_at_every_frame_is_built_anew_ever_more_seldom(
     monkeypatch.undo()
     assert result.complete
     assert built == ["cholesky", "qr", *["cholesky"] * 4]
-    assert result.log.counts["rescues"] == 0
+    assert result.log.counts["recoveries"] == 0
     assert result.log.counts["cholesky_refusals"] == 5
     assert result.log.counts["steps_by_qr"] == FRAMES - 5
     assert result.log.events == ("frame 5: planted to Cholesky; QR for 2 steps",)
@@ -258,7 +258,7 @@ def test_cholesky_that_was_asked_for_is_kept(name, simulated, monkeypatch):
     plant(monkeypatch, name, 1)
     result, estimator = go(name, simulated, factorization="cholesky")
     assert result.complete
-    assert result.log.counts["rescues"] == 1
+    assert result.log.counts["recoveries"] == 1
     assert estimator._solver.factorization == "cholesky"
 
 
@@ -275,7 +275,7 @@ def test_more_rescues_than_allowed_end_the_run_and_the_frames_before_are_kept(na
         return slots
 
     monkeypatch.setattr(KIND[name], "update", fails_once_a_frame)
-    result, _ = go(name, simulated, factorization="qr", max_rescues=2)
+    result, _ = go(name, simulated, factorization="qr", max_recoveries=2)
     assert not result.complete
     assert result.log.error == f"frame {AT + 2}: DivergedError: planted; it would be rescue 3"
     assert len(result.final.world_T_imu) == AT + 2
@@ -322,7 +322,7 @@ def test_a_lag_goes_on_after_a_rescue_that_came_with_marginals(simulated, monkey
     monkeypatch.setattr(engine.FixedLag, "pose", fails)
     result, estimator = go("fixed_lag", (config, dataset), lag_s=1.0, factorization="qr")
     assert result.complete
-    assert result.log.counts["rescues"] == 2
+    assert result.log.counts["recoveries"] == 2
     assert ate(result.final.world_T_imu, dataset) < 1.0
     held = {
         chr(gtsam.symbolChr(key)) + str(gtsam.symbolIndex(key))

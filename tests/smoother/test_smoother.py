@@ -112,7 +112,7 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
 
 def test_a_track_that_waited_is_fused_with_all_its_views(simulated, plain):
     config, dataset = simulated
-    late = member("isam2", config, dataset, start_clearance=60.0)
+    late = member("isam2", config, dataset, initialisation_snr=60.0)
     assert late.log.counts["observations_used_late"] > plain.log.counts["observations_used_late"]
     sequence = dataset.sequence
     for track in late.landmarks.track:
@@ -160,9 +160,9 @@ def test_without_relinearisation_a_lag_is_not_relinearised_either(simulated):
 
 
 REFUSED = [
-    ("isam2", {"lag_s": 1.0, "final": "batch"}, "final: batch needs the whole drive"),
-    ("batch", {"lag_s": 1.0}, "final: batch needs the whole drive"),
-    ("batch_gnc", {"lag_s": 1.0}, "final: gnc needs the whole drive"),
+    ("isam2", {"lag_s": 1.0, "final": "batch"}, "final: batch needs the whole sequence"),
+    ("batch", {"lag_s": 1.0}, "final: batch needs the whole sequence"),
+    ("batch_gnc", {"lag_s": 1.0}, "final: gnc needs the whole sequence"),
     ("isam2", {"factors": "smart"}, "factors: smart"),
     ("batch_gnc", {"factors": "smart"}, "factors: smart"),
     ("isam2", {"robust_threshold": 2.0}, "isam2.robust_threshold: the robust kernel is one setting"),

@@ -19,7 +19,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
-_OPTIONS = EkfOptions(finished="as_left", track_errors="states")
+_OPTIONS = EkfOptions(marginalised_landmarks="filtered", track_errors="states")
 """The standard filter, without the backward pass: only innovations are wanted."""
 
 

@@ -110,7 +110,7 @@ def list_makers(config: Config, found: Mapping[str, Member]) -> dict[str, Member
 
 def _list_maker(name: str) -> Member:
     # The standard one need not finish its map.
-    options = {"finished": "as_left"} if name == LIST_MAKER else {}
+    options = {"marginalised_landmarks": "filtered"} if name == LIST_MAKER else {}
     return Member(estimator.find(name, section="common_set_from"), options, takes_all=False)
 
 

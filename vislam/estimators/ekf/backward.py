@@ -13,9 +13,9 @@ import numpy as np
 from vislam.base.types import Array, IntArray
 from vislam.core.frame import Frame
 from vislam.core.step import Step as Answer
-from vislam.estimators.ekf.chart import Chart
 from vislam.estimators.ekf.linear import Adjoint, Step
-from vislam.estimators.ekf.state import Farewell, JointState, PoseRows
+from vislam.estimators.ekf.parametrisation import Parametrisation
+from vislam.estimators.ekf.state import JointState, Marginalised, PoseRows
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 
@@ -163,12 +163,12 @@ class Recorder:
 def smooth(state: JointState, recorder: Recorder) -> Smoothed:
     """Go back over the recorded steps, to which ``state`` has come."""
     adjoint = Adjoint.of_the_last(len(state.cov))
-    landmarks = [as_left(state, np.arange(len(state.track)))]
+    landmarks = [filtered_landmarks(state, np.arange(len(state.track)))]
     poses: list[Array] = []
     covs: list[Array] = []
     for step in recorder.backwards():
-        if isinstance(step, Farewell):
-            landmarks.append(_told(step, adjoint, state.chart))
+        if isinstance(step, Marginalised):
+            landmarks.append(_told(step, adjoint, state.parametrisation))
         elif isinstance(step, PoseRows):
             error, loss, _ = adjoint.expected(step.rows)
             poses.append(se3.retract(step.world_T_imu, error))
@@ -182,18 +182,18 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
     )
 
 
-def as_left(state: JointState, slots: IntArray) -> Landmarks:
+def filtered_landmarks(state: JointState, slots: IntArray) -> Landmarks:
     """Landmarks as known now."""
-    return _told(state.farewell(slots), Adjoint.of_the_last(len(state.cov)), state.chart)
+    return _told(state.marginalised(slots), Adjoint.of_the_last(len(state.cov)), state.parametrisation)
 
 
-def _told(left: Farewell, adjoint: Adjoint, chart: Chart) -> Landmarks:
+def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation) -> Landmarks:
     """Landmarks that have left, as all data together say."""
     n, each = len(left.track), np.arange(len(left.track))
     error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
     q = left.q + error.reshape(n, 3)
     cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
-    points, jacobian = chart.points(q)
+    points, jacobian = parametrisation.points(q)
     turned = left.anchors[:, :3, :3] @ jacobian
     return Landmarks(
         track=left.track,

@@ -10,7 +10,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.estimator import Problem
 from vislam.core.frame import Frame
-from vislam.estimators.ekf import chart
+from vislam.estimators.ekf import parametrisation
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.ekf.state import ErrorForm
@@ -43,11 +43,13 @@ class DenseFilter:
         problem: Problem,
         *,
         error: ErrorForm = "standard",
-        landmarks: chart.Coordinates = "point",
+        landmarks: parametrisation.ParametrisationName = "point",
         keep_poses: bool = False,
     ) -> None:
         self._problem = problem
-        self._camera = Camera(problem.rig, chart.make(landmarks, problem.rig), NavLayout({"twist_bias": 6}))
+        self._camera = Camera(
+            problem.rig, parametrisation.make(landmarks, problem.rig), NavLayout({"twist_bias": 6})
+        )
         self._form = error
         self._keep_poses = keep_poses
         self.world_T_imu = np.eye(4)
@@ -108,7 +110,7 @@ class DenseFilter:
         slots = self._slots(frame, rows)
         anchors, landmarks = self.anchors[slots], self.landmarks[slots]
         predicted = self._camera.view(self.world_T_imu, self._nav, anchors, landmarks).measurement()
-        if self._form == "first_estimates":
+        if self._form == "fej":
             landmarks = np.column_stack([self._first[slots, :3], landmarks[:, 3]])
         by_nav, by_landmark = self._camera.view(self.world_T_imu, self._nav, anchors, landmarks).jacobians()
         jacobian = np.zeros((3 * len(rows), len(self.cov)))
@@ -177,7 +179,7 @@ class DenseFilter:
     def _shared(self, pose: Array) -> Array:
         """Derivative ``(m, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose."""
         imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ pose)
-        return self._camera.chart.moved(self.landmarks[:, :3]) @ imu_to_anchor
+        return self._camera.parametrisation.moved(self.landmarks[:, :3]) @ imu_to_anchor
 
     def _slots(self, frame: Frame, rows: Sequence[int]) -> list[int]:
         return [self.track.index(int(frame.stereo.track[row])) for row in rows]

@@ -10,7 +10,7 @@ from vislam.core import trajectory
 from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
 from vislam.core.step import Final, Step
-from vislam.estimators.ekf import backward, chart, motion
+from vislam.estimators.ekf import backward, motion, parametrisation
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
 from vislam.estimators.ekf.layout import LANDMARK
@@ -51,10 +51,10 @@ class EkfEstimator:
         self._nearest = problem.rig.nearest
         layout, nav, sigma = motion.navigation(problem, self._motion)
         self._layout = layout
-        self._camera = Camera(problem.rig, chart.make(options.landmarks, problem.rig), layout)
-        self.state = JointState(self._camera.chart, options.error, layout, nav=nav, sigma=sigma)
+        self._camera = Camera(problem.rig, parametrisation.make(options.landmarks, problem.rig), layout)
+        self.state = JointState(self._camera.parametrisation, options.error, layout, nav=nav, sigma=sigma)
         self._recorder: Recorder | None = None
-        if options.finished == "smoothed":
+        if options.marginalised_landmarks == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = Unobservable(layout.size) if options.observability else None
         self._last = None if problem.lags is None else LastPoses(problem.lags)
@@ -66,11 +66,11 @@ class EkfEstimator:
         }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []
-        self._unsettled: set[int] = set()
+        self._not_converged: set[int] = set()
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
-        self._see_off(self._staying(self.state, _places(self.state.track, frame.stereo.track)))
+        self._record_marginalised(self._staying(self.state, _places(self.state.track, frame.stereo.track)))
         if self._recorder is not None:
             record = self._recorder.take(self.state, frame)
             steps = self._recorder.latest
@@ -84,10 +84,10 @@ class EkfEstimator:
 
     def finalize(self) -> Final:
         """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""
-        self._see_off(np.zeros(len(self.state.track), bool))
+        self._record_marginalised(np.zeros(len(self.state.track), bool))
         poses, counts = None, {}
         if self._problem.kernel is not None:
-            counts["reweightings_not_converged"] = len(self._unsettled)
+            counts["reweightings_not_converged"] = len(self._not_converged)
         lagged = {} if self._last is None else self._last.poses()
         if self._recorder is None:
             landmarks = Landmarks.join(self._left[::-1])
@@ -108,7 +108,7 @@ class EkfEstimator:
         )
 
     def smooth(self) -> Smoothed:
-        """Go back over all steps, which are forgotten then; not with ``finished: as_left``."""
+        """Go back over all steps, which are forgotten then; not with ``marginalised_landmarks: filtered``."""
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
@@ -135,7 +135,7 @@ class EkfEstimator:
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         if self._track_noise.drift > 0.0:
-            state.wander(slots, view.drift_cov(self._track_noise.drift))
+            state.add_drift(slots, view.drift_cov(self._track_noise.drift))
         fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
         new = usable.copy()
         new[rows] = False
@@ -219,7 +219,7 @@ class EkfEstimator:
     ) -> "_Innovation":
         """Linearise the sightings of a view, which is that of the state or of where a correction leads."""
         seen_from = view
-        if state.form == "first_estimates":
+        if state.form == "fej":
             first = state.linearised_at[slots]
             seen_from = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], first)
         by_nav, by_landmark = seen_from.jacobians()
@@ -244,7 +244,7 @@ class EkfEstimator:
             kernel, spread, variance[good], value, first=kernel.weight(distance[good])
         )
         if not converged:
-            self._unsettled.add(k)
+            self._not_converged.add(k)
         variance = variance.copy()
         variance[good] /= weights[:, None]
         return variance
@@ -285,14 +285,14 @@ class EkfEstimator:
             return frame.stereo.sigma[rows] ** 2
         return np.broadcast_to(self._track_noise.sigma**2, (len(rows), 3))
 
-    def _see_off(self, seen: BoolArray) -> None:
+    def _record_marginalised(self, seen: BoolArray) -> None:
         """Note what is known now of the landmarks that are about to leave."""
         state, left = self.state, np.flatnonzero(~seen)
         self._matches.append(
             np.column_stack([state.track[left], state.landmarks[left, 3], state.variances()[left, 3]])
         )
         if self._recorder is None:
-            self._left.append(backward.as_left(state, left))
+            self._left.append(backward.filtered_landmarks(state, left))
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The measurements of the joint state: values and Jacobians of stereo sightings.
 
-A landmark is (q, e): three coordinates in a :mod:`chart <vislam.estimators.ekf.chart>`, and the share e by
-which its disparity is too large because the right patch follows another point than the left one. With the
-point ``h = (x, y, z, w)`` in the left camera, homogeneous,
+A landmark is (q, e): three coordinates in a :mod:`parametrisation <vislam.estimators.ekf.parametrisation>`,
+and the share e by which its disparity is too large because the right patch follows another point than the
+left one. With the point ``h = (x, y, z, w)`` in the left camera, homogeneous,
 
     uL = fx x / z + cx,    v = fy y / z + cy,    uL - uR = (1 + e) fx b w / z + o,
 
@@ -10,8 +10,9 @@ o being the error of all disparities; the other errors that all tracks share (ro
 principal point, focal scale; :mod:`vislam.models.shared_errors`) are in the mounting and in fx, fy, cx, cy.
 Nothing here divides by w: points at infinity are welcome.
 
-A landmark's anchor is the camera as estimated at its first observation, and stays there; the chart is that of
-the stated rig. Of shared errors its coordinates know by that observation alone: with ``z = h(nav, q)``,
+A landmark's anchor is the camera as estimated at its first observation, and stays there; the
+parametrisation is that of the stated rig. Of shared errors its coordinates know by that observation alone:
+with ``z = h(nav, q)``,
 
     dq / dnav = -(dh / dq)^-1 dh / dnav,
 
@@ -25,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.estimators.ekf.chart import Chart
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
+from vislam.estimators.ekf.parametrisation import Parametrisation
 from vislam.geometry import se3, so3
 from vislam.models import CameraErrors, StereoRig
 from vislam.models.odometry import POSE
@@ -44,13 +45,13 @@ class Camera:
     ----------
     rig : StereoRig
         As stated.
-    chart : Chart
+    parametrisation : Parametrisation
     layout : NavLayout
         Of the navigation state that Jacobians are taken by.
     """
 
     rig: StereoRig
-    chart: Chart
+    parametrisation: Parametrisation
     layout: NavLayout
 
     def errors(self, nav: Array) -> CameraErrors:
@@ -75,7 +76,7 @@ class Camera:
         errors = self.errors(nav)
         rig = self.actual(errors)
         cam_T_anchor = se3.inverse(world_T_imu @ rig.imu_T_cam) @ anchors
-        homogeneous = self.chart.homogeneous(landmarks[:, :3])
+        homogeneous = self.parametrisation.homogeneous(landmarks[:, :3])
         in_camera = (cam_T_anchor @ homogeneous[:, :, None])[:, :, 0]
         return View(self, errors, rig, landmarks, homogeneous, cam_T_anchor, in_camera)
 
@@ -99,11 +100,11 @@ class Camera:
         by_measurement : (n, 4, 4)
             Derivative with respect to (uL, uR, v) and to the error of the match.
         """
-        errors, chart, n = self.errors(nav), self.chart, len(z)
+        errors, parametrisation, n = self.errors(nav), self.parametrisation, len(z)
         rig = self.actual(errors)
         world_T_cam = world_T_imu @ rig.imu_T_cam
-        anchor = world_T_cam if chart.anchored else np.eye(4)
-        anchor_T_cam = np.eye(4) if chart.anchored else world_T_cam
+        anchor = world_T_cam if parametrisation.anchored else np.eye(4)
+        anchor_T_cam = np.eye(4) if parametrisation.anchored else world_T_cam
         disparity = z[:, 0] - z[:, 1] - errors.disparity_offset
         per_disparity = 1.0 / (rig.fx * rig.baseline)
         in_camera = np.column_stack(
@@ -116,8 +117,8 @@ class Camera:
         )
         in_anchor = in_camera @ anchor_T_cam.T
         landmarks = np.zeros((n, LANDMARK))
-        landmarks[:, :3] = chart.coordinates(in_anchor)
-        by_camera = chart.coordinates_jacobian(in_anchor) @ anchor_T_cam
+        landmarks[:, :3] = parametrisation.coordinates(in_anchor)
+        by_camera = parametrisation.coordinates_jacobian(in_anchor) @ anchor_T_cam
         by_measurement = np.zeros((n, LANDMARK, 4))
         by_measurement[:, :3, 0] = by_camera[:, :, 0] / rig.fx + by_camera[:, :, 3] * per_disparity
         by_measurement[:, :3, 1] = -by_camera[:, :, 3] * per_disparity
@@ -127,7 +128,7 @@ class Camera:
         by_measurement[:, 3, 3] = 1.0
         by_nav = np.zeros((n, LANDMARK, self.layout.size))
         imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
-        by_nav[:, :3, POSE] = chart.moved(landmarks[:, :3]) @ imu_to_anchor
+        by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3]) @ imu_to_anchor
         self.add_rotation(by_nav, errors, by_nav[..., POSE])
         for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
             by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
@@ -224,7 +225,7 @@ class View:
             for name, columns in shared.items():
                 by_nav[:, :, layout[name]] = columns
         by_landmark = np.empty((len(z), 3, LANDMARK))
-        by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.chart.linear)
+        by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.parametrisation.linear)
         by_landmark[:, :, 3] = 0.0
         by_landmark[:, 1, 3] = -disparity
         return by_nav, by_landmark
@@ -235,5 +236,5 @@ class View:
         lateral = self.cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
             self.in_camera[:, 2, None, None] * np.array([drift / rig.fx, drift / rig.fy])
         )
-        step = self.camera.chart.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
+        step = self.camera.parametrisation.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
         return np.asarray(step @ step.transpose(0, 2, 1))

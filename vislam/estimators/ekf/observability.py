@@ -46,7 +46,7 @@ class Unobservable:
         return gained
 
     def _take(self, step: Step) -> Array:
-        """Follow one step; what a farewell to landmarks or a note of the pose is changes nothing."""
+        """Follow one step; a marginalisation of landmarks or a record of the pose changes nothing."""
         held, nav = self.directions, self._nav
         match step:
             case Update():

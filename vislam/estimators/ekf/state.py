@@ -8,19 +8,19 @@ import numpy as np
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.step import TWIST_BIAS, State
-from vislam.estimators.ekf.chart import Chart
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
 from vislam.estimators.ekf.motion import Propagation
+from vislam.estimators.ekf.parametrisation import Parametrisation
 from vislam.geometry import se3
 from vislam.models import shared_errors
 from vislam.models.odometry import POSE
 
-ErrorForm = Literal["standard", "first_estimates", "invariant"]
+ErrorForm = Literal["standard", "fej", "invariant"]
 
 
 @dataclass(frozen=True)
-class Farewell(Step):
+class Marginalised(Step):
     """Landmarks about to leave the state: what later data say about them is asked for on the way back.
 
     Attributes
@@ -78,13 +78,13 @@ class JointState:
     else additive. What a correction makes of these coordinates is the difference between the error forms:
 
     * ``standard``: nothing, as in every textbook EKF.
-    * ``first_estimates``: the pose error keeps its meaning in the world, and Jacobians are taken at
+    * ``fej``: the pose error keeps its meaning in the world, and Jacobians are taken at
       ``first``. Huang, Mourikis, Roumeliotis, *A first-estimates Jacobian EKF for improving SLAM
       consistency* (ISER 2008).
     * ``invariant``: errors keep their meaning as a rigid motion of pose and landmarks together, and what each
       landmark is off beside it; so what cannot be observed (where the world is) stays one and the same
       subspace. Barrau and Bonnabel, *An EKF-SLAM algorithm with consistency properties* (2015), in the
-      coordinates of any chart. Of a landmark that has left this changes nothing.
+      coordinates of any parametrisation. Of a landmark that has left this changes nothing.
 
     Attributes
     ----------
@@ -105,8 +105,16 @@ class JointState:
         Where steps are noted for the way back.
     """
 
-    def __init__(self, chart: Chart, form: ErrorForm, layout: NavLayout, *, nav: Array, sigma: Array) -> None:
-        self.chart = chart
+    def __init__(
+        self,
+        parametrisation: Parametrisation,
+        form: ErrorForm,
+        layout: NavLayout,
+        *,
+        nav: Array,
+        sigma: Array,
+    ) -> None:
+        self.parametrisation = parametrisation
         self.layout = layout
         self.form = form
         self.world_T_imu = np.eye(4)
@@ -121,7 +129,9 @@ class JointState:
 
     def copy(self) -> "JointState":
         """Return a state that shares no memory which either would write to, and that notes no steps."""
-        other = JointState(self.chart, self.form, self.layout, nav=self.nav, sigma=np.zeros(len(self.nav)))
+        other = JointState(
+            self.parametrisation, self.form, self.layout, nav=self.nav, sigma=np.zeros(len(self.nav))
+        )
         other.world_T_imu, other.track, other.anchors = self.world_T_imu, self.track, self.anchors
         other.landmarks, other.first, other.cov = self.landmarks, self.first, self.cov.copy()
         other.seen_at = self.seen_at
@@ -135,7 +145,7 @@ class JointState:
 
     @property
     def linearised_at(self) -> Array:
-        """Landmarks ``(n, 4)`` at which the ``first_estimates`` form takes Jacobians."""
+        """Landmarks ``(n, 4)`` at which the ``fej`` form takes Jacobians."""
         return np.column_stack([self.first[:, :3], self.landmarks[:, 3]])
 
     def variances(self) -> Array:
@@ -155,7 +165,7 @@ class JointState:
         self.seen_at = self.seen_at.copy()
         self.seen_at[slots] = frame
 
-    def wander(self, slots: IntArray, noise: Array) -> None:
+    def add_drift(self, slots: IntArray, noise: Array) -> None:
         """Let coordinates of some landmarks walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
         n, nav = len(self.track), self.layout.size
         blocks = self.cov[nav:, nav:].reshape(n, LANDMARK, n, LANDMARK)
@@ -214,7 +224,7 @@ class JointState:
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: their rows and columns go."""
         if self.steps is not None:
-            self.steps.append(self.farewell(np.flatnonzero(~mask)))
+            self.steps.append(self.marginalised(np.flatnonzero(~mask)))
         step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, LANDMARK)]))
         self.cov = step.forward(self.cov)
         self._note(step)
@@ -222,12 +232,12 @@ class JointState:
         self.landmarks, self.first = self.landmarks[mask], self.first[mask]
         self.seen_at = self.seen_at[mask]
 
-    def farewell(self, slots: IntArray) -> "Farewell":
+    def marginalised(self, slots: IntArray) -> "Marginalised":
         """What is known of some landmarks now."""
         nav = self.layout.size
         rows = self.cov[nav:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
         columns = nav + LANDMARK * slots[:, None] + np.arange(3)
-        return Farewell(
+        return Marginalised(
             track=self.track[slots],
             q=self.landmarks[slots, :3],
             anchors=self.anchors[slots],
@@ -249,10 +259,12 @@ class JointState:
         if self.form == "standard":
             return None
         kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
-        if self.form == "first_estimates":
+        if self.form == "fej":
             return Reset(kept, None)
         # What a motion of the world does to the coordinates, after the correction less before it.
-        moved = self.chart.moved(self.landmarks[:, :3]) - self.chart.moved(landmarks[:, :3])
+        moved = self.parametrisation.moved(self.landmarks[:, :3]) - self.parametrisation.moved(
+            landmarks[:, :3]
+        )
         change = np.zeros((len(landmarks), LANDMARK, 6))
         change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
         return Reset(kept, change.reshape(-1, 6))

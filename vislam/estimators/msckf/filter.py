@@ -12,7 +12,7 @@ from vislam.core.frame import Frame
 from vislam.core.lagged import LagReader
 from vislam.core.step import Final, Step
 from vislam.core.trajectory import Landmarks, Poses
-from vislam.estimators.ekf import chart, motion
+from vislam.estimators.ekf import motion, parametrisation
 from vislam.estimators.ekf.measurement import Camera
 from vislam.estimators.ekf.state import states_of
 from vislam.estimators.msckf.options import MsckfOptions
@@ -45,7 +45,7 @@ class MsckfEstimator:
         self._options = options
         self._motion = motion.make(problem)
         layout, nav, sigma = motion.navigation(problem, self._motion)
-        self._camera = Camera(problem.rig, chart.make("point", problem.rig), layout)
+        self._camera = Camera(problem.rig, parametrisation.make("point", problem.rig), layout)
         self.window = Window(layout, options.error, nav=nav, sigma=sigma)
         self._longest = options.window + 1 if options.max_length is None else options.max_length
         self._gates = options.gate and problem.gate_probability < 1.0

@@ -7,15 +7,15 @@ from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
 
-ErrorForm = Literal["standard", "first_estimates", "invariant"]
+ErrorForm = Literal["standard", "fej", "invariant"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MsckfOptions:
     """Options of the multi-state constraint Kalman filter."""
 
-    error: ErrorForm = "first_estimates"
-    """Where Jacobians are evaluated: ``standard`` at the current estimates, ``first_estimates`` (FEJ) at the
+    error: ErrorForm = "fej"
+    """Where Jacobians are evaluated: ``standard`` at the current estimates, ``fej`` (FEJ) at the
     first estimate of each pose, or ``invariant`` at the current estimates, in coordinates of the error that
     keep their meaning as a rigid motion of the world."""
     window: Annotated[int, Field(ge=1)] = 20

@@ -60,7 +60,7 @@ class Window:
     @property
     def linearised_at(self) -> Array:
         """Poses ``(m + 1, 4, 4)`` at which Jacobians are evaluated."""
-        return self.first if self.form == "first_estimates" else self.poses
+        return self.first if self.form == "fej" else self.poses
 
     def pose_cov(self, place: int) -> Array:
         """Covariance ``(6, 6)`` of the pose at a place of :attr:`poses`."""
@@ -80,7 +80,7 @@ class Window:
         """Take the current pose, a clone of which is behind it, to another frame by the model of motion."""
         pose = self.poses[-1] @ step.prev_T_next
         transition = step.transition
-        if self.form == "first_estimates":
+        if self.form == "fej":
             # From the first estimate of one pose to that of the next: a motion of the world stays one.
             transition = transition.copy()
             transition[POSE, POSE] = se3.adjoint(se3.inverse(pose) @ self.first[-1])

@@ -125,7 +125,7 @@ class Drive:
             return minimise(
                 self.graph(),
                 values,
-                restart=lambda values: self.triangulated(values, clear=options.start_clearance),
+                restart=lambda values: self.triangulated(values, clear=options.initialisation_snr),
                 rounds=options.final_iterations,
                 budget=budget,
             )
@@ -136,7 +136,7 @@ class Drive:
         found = minimise(graph, start, restart=gtsam.Values, rounds=1, budget=budget)
         everything = gtsam.Values(values)
         everything.update(found.values)
-        located = self.triangulated(everything, clear=options.start_clearance)
+        located = self.triangulated(everything, clear=options.initialisation_snr)
         return replace(found, values=located, at_rest=not found.stopped)
 
     def graduate(self, values: gtsam.Values, budget: Budget) -> tuple[gtsam.Values, int]:

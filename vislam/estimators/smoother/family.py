@@ -1,4 +1,4 @@
-"""The members of the smoother family: one name each, all the same smoother with other options."""
+"""The variants of the smoother: one name each, the same smoother with other options."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -7,12 +7,12 @@ from typing import Any
 from vislam.base import settings
 from vislam.base.errors import ConfigError
 from vislam.core.estimator import Problem
-from vislam.estimators.former import refuse_former
+from vislam.estimators.former import current
 from vislam.estimators.smoother.incremental import SmootherEstimator
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.models import shared_errors
 
-MEMBERS: Mapping[str, Mapping[str, Any]] = {
+VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
     # The textbook's pose graph: with the bias, which is of the order of the drift, taken for known.
     "isam2_between": {"motion": "between"},
@@ -24,7 +24,7 @@ MEMBERS: Mapping[str, Mapping[str, Any]] = {
     "batch": {"final": "batch", "final_iterations": 10},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},
 }
-"""What each member sets; its config section may set the rest, or these again."""
+"""What each variant sets; its config section may set the rest, or these again."""
 
 
 _BETWEEN_LACKS: Mapping[str, Callable[[Problem], bool]] = {
@@ -35,10 +35,10 @@ _BETWEEN_LACKS: Mapping[str, Callable[[Problem], bool]] = {
 """What motion: between has no variables for, each by its remedy."""
 
 
-def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
-    """Build a member from a problem and the options of its config section."""
-    refuse_former(options, at=f"estimators.{name}")
-    parsed = settings.parse(SmootherOptions, {**MEMBERS[name], **options}, at=f"estimators.{name}")
+def _variant(name: str, problem: Problem, options: Mapping[str, Any]) -> SmootherEstimator:
+    """Build a variant from a problem and the options of its config section."""
+    at = f"estimators.{name}"
+    parsed = settings.parse(SmootherOptions, {**VARIANTS[name], **current(options, at=at)}, at=at)
     lacking = [name for name in shared_errors.OF_CAMERA if name in problem.shared()]
     if lacking:
         raise ConfigError(
@@ -54,9 +54,9 @@ def _member(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoother
     return SmootherEstimator(problem, parsed)
 
 
-build_isam2 = partial(_member, "isam2")
-build_between = partial(_member, "isam2_between")
-build_norelin = partial(_member, "isam2_norelin")
-build_fixed_lag = partial(_member, "fixed_lag")
-build_batch = partial(_member, "batch")
-build_gnc = partial(_member, "batch_gnc")
+build_isam2 = partial(_variant, "isam2")
+build_between = partial(_variant, "isam2_between")
+build_norelin = partial(_variant, "isam2_norelin")
+build_fixed_lag = partial(_variant, "fixed_lag")
+build_batch = partial(_variant, "batch")
+build_gnc = partial(_variant, "batch_gnc")

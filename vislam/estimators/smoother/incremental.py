@@ -151,7 +151,7 @@ class SmootherEstimator:
                 "landmarks_set_aside": solver.tracks.set_aside,
                 "views_dropped_waiting": solver.tracks.views_dropped,
                 **self._counts,
-                "rescues": self._recovery.rescues,
+                "recoveries": self._recovery.recoveries,
                 "steps_by_qr": self._recovery.by_qr,
                 "cholesky_refusals": self._recovery.refusals,
             },

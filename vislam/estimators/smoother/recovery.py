@@ -71,7 +71,7 @@ class Recovery:
 
     def __init__(self, rig: StereoRig, options: SmootherOptions, solver: Solver) -> None:
         self._rig, self._options, self._solver = rig, options, solver
-        self.rescues = self.refusals = self.by_qr = 0
+        self.recoveries = self.refusals = self.by_qr = 0
         self.events: list[str] = []
         # Steps with QR still to come before Cholesky is tried again.
         self._wait = 0
@@ -88,9 +88,9 @@ class Recovery:
         failure = _Failure(error, solver.engine.factors(), solver.engine.linearization_point())
         if self._by_qr(frame, failure):
             return
-        self.rescues += 1
-        if self.rescues > self._options.max_rescues:
-            raise DivergedError(f"{failure.error}; it would be rescue {self.rescues}")
+        self.recoveries += 1
+        if self.recoveries > self._options.max_recoveries:
+            raise DivergedError(f"{failure.error}; it would be rescue {self.recoveries}")
         gone: list[Track] = []
         for way in self._ways(failure, gone):
             found = ", ".join(self._describe(track, failure.point) for track in [*gone, *way.suspects][:3])

@@ -40,14 +40,14 @@ def restarted(
     if squares <= _SUSPECT * freedom:
         return None
     graph = drive.graph()
-    start = drive.triangulated(_inertial_path(drive, problem, options), clear=options.start_clearance)
+    start = drive.triangulated(_inertial_path(drive, problem, options), clear=options.initialisation_snr)
     start = only(start, graph)
     if 2.0 * graph.error(start) >= squares:
         return None
     found = minimise(
         graph,
         start,
-        restart=lambda best: drive.triangulated(best, clear=options.start_clearance),
+        restart=lambda best: drive.triangulated(best, clear=options.initialisation_snr),
         rounds=_ROUNDS,
         budget=budget,
     )

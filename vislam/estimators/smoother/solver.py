@@ -68,8 +68,8 @@ class Solver:
         return self.tracks.start(
             self._rig,
             self.poses,
-            clear=self._options.start_clearance,
-            most=self._options.max_waiting_views,
+            clear=self._options.initialisation_snr,
+            most=self._options.max_pending_observations,
             oldest=self.held().start,
         )
 

@@ -1,13 +1,14 @@
-"""Coordinates of landmarks: what the three numbers of a landmark mean.
+"""Parametrisations of a landmark: the meaning of its three numbers.
 
-A landmark stands in an anchor frame as the homogeneous point ``X = (x, y, z, w)``, which is the Euclidean
-point ``(x, y, z) / w``. Its coordinates q are affine in X with one component of X held at 1:
+A landmark is the homogeneous point ``X = (x, y, z, w)`` in an anchor frame, the Euclidean point
+``(x, y, z) / w``. Its parameters q are affine in X with one component of X held at 1:
 
-* ``point``: X = (q, 1), the point itself. The anchor is the world.
-* ``disparity``: X = ((q0 - cx) / fx, (q1 - cy) / fy, 1, q2 / (fx b)): column, row and disparity of the point
-  in the camera that saw it first, which is the anchor. Stereo errors are near Gaussian in them, and a point
-  at infinity (q2 = 0) is a point like all others. Montiel, Civera, Davison, *Unified inverse depth
-  parametrization for monocular SLAM* (RSS 2006), for a stereo pair.
+* ``point``: X = (q, 1), the Euclidean point. The anchor is the world.
+* ``anchored_uvd``: X = ((q0 - cx) / fx, (q1 - cy) / fy, 1, q2 / (fx b)): column u, row v and disparity d in
+the
+  camera of the first observation, which is the anchor. Stereo errors are near Gaussian in them, and a point
+  at infinity (q2 = 0) is regular. Montiel, Civera, Davison, *Unified inverse depth parametrization for
+  monocular SLAM* (RSS 2006), for a stereo pair.
 """
 
 from dataclasses import dataclass
@@ -20,15 +21,15 @@ from vislam.base.types import Array
 from vislam.geometry import so3
 from vislam.models import StereoRig
 
-Coordinates = Literal["point", "disparity"]
+ParametrisationName = Literal["point", "anchored_uvd"]
 
 _FARTHEST = 1e-4
-"""Smallest w for which a point is given out: 10 km where z is 1 [1/m]."""
+"""Smallest w for which a point is returned: 10 km where z is 1 [1/m]."""
 
 
 @dataclass(frozen=True)
-class Chart:
-    """An affine map from coordinates to homogeneous points.
+class Parametrisation:
+    """An affine map from parameters to homogeneous points.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class Chart:
         return q @ self.linear.T + self.constant
 
     def coordinates(self, homogeneous: Array) -> Array:
-        """Coordinates ``(n, 3)`` of homogeneous points ``(n, 4)`` of any scale."""
+        """ParametrisationName ``(n, 3)`` of homogeneous points ``(n, 4)`` of any scale."""
         scaled = homogeneous / homogeneous[:, self.one, None]
         return (scaled - self.constant) @ self._inverse.T
 
@@ -84,11 +85,11 @@ class Chart:
         return np.asarray(np.linalg.pinv(self.linear), dtype=np.float64)
 
 
-def make(kind: Coordinates, rig: StereoRig) -> Chart:
-    """Chart of a kind for a rig."""
+def make(kind: ParametrisationName, rig: StereoRig) -> Parametrisation:
+    """Parametrisation of a name for a rig."""
     if kind == "point":
-        return Chart(np.eye(4, 3), np.array([0.0, 0.0, 0.0, 1.0]), one=3, anchored=False)
+        return Parametrisation(np.eye(4, 3), np.array([0.0, 0.0, 0.0, 1.0]), one=3, anchored=False)
     linear = np.zeros((4, 3))
     linear[0, 0], linear[1, 1], linear[3, 2] = 1.0 / rig.fx, 1.0 / rig.fy, 1.0 / (rig.fx * rig.baseline)
     constant = np.array([-rig.cx / rig.fx, -rig.cy / rig.fy, 1.0, 0.0])
-    return Chart(linear, constant, one=2, anchored=True)
+    return Parametrisation(linear, constant, one=2, anchored=True)
