@@ -38,6 +38,9 @@ def write_npz(path: Path, run: Run) -> None:
     ``pose_cov``, ``pose_cov_filtered (T, 6, 6)``
         Their covariances, in the order (omega [rad], v [m]), of a perturbation on the right. NaN where the
         estimator gave none.
+    ``pose_cov_considered``, ``pose_cov_filtered_considered``, ``pose_cov_sandwich``, ... ``(T, 6, 6)``
+        The same with the errors that all observations share, and by the scores of blocks of time; missing
+        where the run has none.
     ``up (3,)``
         Direction of up in the world; z where the estimator does not know better.
     ``track (m,)``, ``points_world (m, 3)``
@@ -58,6 +61,10 @@ def write_npz(path: Path, run: Run) -> None:
     }
     if landmarks.points_cov is not None:
         arrays["points_cov"] = landmarks.points_cov
+    for kind in run.beside:
+        other = run.with_covariances(kind)
+        arrays[f"pose_cov_{kind}"] = other.final.covariances
+        arrays[f"pose_cov_filtered_{kind}"] = other.filtered.covariances
     with replace_whole(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 

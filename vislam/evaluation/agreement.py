@@ -116,7 +116,11 @@ def shared_estimates(one: Run, other: Run) -> tuple[Estimate, ...]:
 
 
 def agreement(
-    one: Run, other: Run, *, estimates: tuple[Estimate, Estimate] | None = None
+    one: Run,
+    other: Run,
+    *,
+    estimates: tuple[Estimate, Estimate] | None = None,
+    considered: bool = False,
 ) -> Agreement | None:
     """Compare two runs pose by pose; None if there is no frame of which both give a covariance.
 
@@ -129,7 +133,13 @@ def agreement(
         Compared on the frames that both have.
     estimates : two of "filtered" and "smoothed", optional
         Estimate of each; by default the same of both, the last that they share.
+    considered : bool
+        Whether the errors that both share are added: with changes ``s_a`` and ``s_b`` by the same cause, the
+        difference has ``P_a + P_b + sum (s_a - s_b)(s_a - s_b)^T``, and what acts on both alike cancels. None
+        if they have not considered the same.
     """
+    if considered and not _same_causes(one, other):
+        return None
     if estimates is None:
         shared = shared_estimates(one, other)[-1]
         estimates = (shared, shared)
@@ -149,8 +159,18 @@ def agreement(
     if not known.any():
         return None
     difference, here = difference[kept], here[kept]
-    total = first_cov[known] + here
-    ratios, along = compared(first_cov[known], here)
+    first_cov = first_cov[known]
+    total = first_cov + here
+    if considered:
+        by_cause = [
+            _changes(run, estimate)[:, rows[known]]
+            for run, estimate, rows in zip((one, other), estimates, (own, others), strict=True)
+        ]
+        jacobian = np.linalg.inv(se3.right_jacobian(difference))
+        by_cause[1] = (jacobian @ by_cause[1][..., None])[..., 0]
+        total = total + _summed(by_cause[0] - by_cause[1])
+        first_cov, here = first_cov + _summed(by_cause[0]), here + _summed(by_cause[1])
+    ratios, along = compared(first_cov, here)
     return Agreement(
         estimates,
         frame[known],
@@ -159,6 +179,24 @@ def agreement(
         ratios,
         along,
     )
+
+
+def _same_causes(one: Run, other: Run) -> bool:
+    """Whether two runs have considered the same errors."""
+    if one.considered is None or other.considered is None:
+        return False
+    return one.considered.cause == other.considered.cause
+
+
+def _changes(run: Run, estimate: Estimate) -> Array:
+    """Changes ``(c, T, 6)`` of the poses of an estimate of a run that has considered some errors."""
+    assert run.considered is not None
+    return run.considered.of(smoothed=estimate == "smoothed")
+
+
+def _summed(change: Array) -> Array:
+    """Covariances ``(n, 6, 6)`` of changes ``(c, n, 6)``."""
+    return np.asarray(np.einsum("cti,ctj->tij", change, change))
 
 
 def transported(cov: Array, difference: Array) -> Array:

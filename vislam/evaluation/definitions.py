@@ -1,6 +1,9 @@
 """Definitions of the metrics in a sentence each, for the reference and for the page of a comparison."""
 
-DEFINITIONS = {
+from vislam.core.run import Beside
+from vislam.evaluation.metric import METRICS
+
+_OWN = {
     "ate_rmse": (
         "Absolute trajectory error: root mean square distance of the estimated positions from the "
         "reference, after the rigid (SE(3)) alignment of all positions by least squares (Umeyama 1991, no "
@@ -123,4 +126,22 @@ DEFINITIONS = {
         "does not fall from one to the next."
     ),
 }
+_BESIDE: dict[Beside, str] = {
+    "considered": (
+        "The same by the consider covariance: the estimator's own and what the errors add that all "
+        "observations share (Schmidt 1966)."
+    ),
+    "sandwich": "The same by the covariance from the scores of blocks of time (Huber 1967, White 1982).",
+}
+
+
+def _definition(key: str) -> str:
+    """Definition of a metric of the registry."""
+    for kind, told in _BESIDE.items():
+        if key.endswith(kind):
+            return told
+    return _OWN[key]
+
+
+DEFINITIONS = {key: _definition(key) for key in METRICS}
 """What each metric of the registry is, by its key."""

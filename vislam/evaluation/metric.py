@@ -3,10 +3,11 @@
 Whoever shows or judges metrics takes them from here; :mod:`vislam.evaluation.metrics` computes them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from vislam.core.run import Estimate
+from vislam.core.run import BESIDE, Beside, Estimate
 
 Better = Literal["less", "one", ""]
 """Which value is better: less; near 1, as of a consistent estimator; or it is no matter of better."""
@@ -120,7 +121,29 @@ _ALL = (
     MetricSpec("total_time_s", "total time", "s", 1, "less"),
     MetricSpec("peak_rss_mb", "peak memory", "MB", 0, "less"),
 )
-METRICS = {spec.key: spec for spec in _ALL}
+_OF_COVARIANCES = ("nees_", "scale_gap_", "coverage_90_", "log_score_", "energy_score_")
+"""How the keys start of what errors are by their covariances."""
+BESIDE_TITLES: dict[Beside, str] = {"considered": "shared errors considered", "sandwich": "sandwich"}
+"""Titles of the covariances that a run may have beside its own."""
+
+
+def of_beside(key: str, kind: Beside) -> str:
+    """Key of a metric that is by other covariances than the estimator's own."""
+    return f"{key}_{kind}"
+
+
+def _with_beside(specs: Iterable[MetricSpec]) -> Iterator[MetricSpec]:
+    """Metrics, and behind those of the estimator's own covariances the same by the others."""
+    for spec in specs:
+        yield spec
+        if spec.key.startswith(_OF_COVARIANCES):
+            for kind in BESIDE:
+                short = f"{spec.short}, {BESIDE_TITLES[kind]}" if spec.short else ""
+                title = f"{spec.title}, {BESIDE_TITLES[kind]}"
+                yield replace(spec, key=of_beside(spec.key, kind), title=title, short=short)
+
+
+METRICS = {spec.key: spec for spec in _with_beside(_ALL)}
 """Metrics that are shown by a name of their own, in the order of the tables."""
 _RELATIVE = (
     MetricSpec("rpe_1s_rmse", "RPE over 1 s", "m", 3, "less"),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.run import Estimate, Run
+from vislam.core.run import BESIDE, Estimate, Run
 from vislam.evaluation import trajectory
 from vislam.evaluation.alignment import align
 from vislam.evaluation.clouds import CloudErrors
@@ -206,7 +206,7 @@ def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float
         key = f"coverage_{claim.name.removeprefix('nees_')}_{multiple:g}sigma"
         yield key, float(share), "1", "mean over the components"
     part = claim.name.removeprefix("nees_")
-    if part in _AS_A_PERSON:
+    if _of_own(part) in _AS_A_PERSON:
         yield (
             f"scale_gap_{part}",
             claim.scale_gap(),
@@ -222,6 +222,13 @@ def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float
         yield f"log_score_{part}", score, "nats", told
         if part.startswith("position"):
             yield f"energy_score_{part}", float(energy_score(claim.whitened, claim.factor).mean()), "m", told
+
+
+def _of_own(part: str) -> str:
+    """Part of a pose without the kind of its covariances."""
+    for kind in BESIDE:
+        part = part.removesuffix(f"_{kind}")
+    return part
 
 
 def _of_itself(run: Run, estimate: Estimate) -> Iterator[tuple[str, float, str]]:
@@ -368,6 +375,7 @@ def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
         frame, certainty = found.parting(), found.certainty()
         if frame is not None:
             yield "parting_frame", float(frame), f"{by}; beyond the 99 % bound of all frames together"
+        yield from _agreement_considered(scores)
         told = "variance that the first claims over that of the second, median over the frames"
         yield "variance_ratio", certainty.overall, f"{told}; geometric mean of all directions"
         yield "variance_ratio_smallest", certainty.smallest, f"{told}; mostly in {certainty.smallest_along}"
@@ -378,6 +386,15 @@ def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
         yield "held_out_better_low", scores.held_out.low, f"{told}, 95 % interval"
         yield "held_out_better_high", scores.held_out.high, f"{told}, 95 % interval"
         yield "held_out_p", scores.held_out.p_value, f"{told}: chance of as much if neither were better"
+
+
+def _agreement_considered(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
+    """How far apart two runs are where the errors are considered that they share."""
+    found = scores.agreement_considered
+    if found is not None:
+        by = "worlds joined at the first pose, by the two covariances and the difference of the changes"
+        yield "distance_per_freedom_considered", found.per_freedom, by
+        yield "poses_beyond_95_considered", found.share_beyond(), by
 
 
 def _rms(vectors: Array) -> float:

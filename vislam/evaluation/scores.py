@@ -23,6 +23,7 @@ from vislam.evaluation.efficiency import Efficiency, efficiency
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, Paired, paired, score
 from vislam.evaluation.lag import LagScores, score_lags
 from vislam.evaluation.maps import Bin, MapDifference, MapErrors
+from vislam.evaluation.metric import BESIDE_TITLES, of_beside
 from vislam.evaluation.normalised import Normalised
 from vislam.evaluation.smoothing import SmoothingDifference, smoothing_difference
 from vislam.evaluation.statistics import Statistic, Whiteness
@@ -139,6 +140,8 @@ class EstimatePair:
     ----------
     agreement : Agreement or None
         Of their poses; None where one of them claims nothing.
+    agreement_considered : Agreement or None
+        The same with the errors that both share; None where one of them has not considered them.
     held_out : Paired or None
     error : ErrorDifference or None
         ATE of the first less that of the second, with the alignment of the headline; None without a
@@ -148,6 +151,7 @@ class EstimatePair:
     agreement: Agreement | None
     held_out: Paired | None
     error: ErrorDifference | None = None
+    agreement_considered: Agreement | None = None
 
 
 @dataclass(frozen=True)
@@ -287,6 +291,16 @@ def _score_estimate(run: Run, estimate: Estimate, record: Record, own: OwnClock 
 
 
 def _claims(run: Run, estimate: Estimate, reference: Reference) -> list[Normalised]:
+    """Errors of the poses of an estimate beside each of the covariances that the run has."""
+    found = _by_its_own(run, estimate, reference)
+    for kind in run.beside:
+        for claim in _by_its_own(run.with_covariances(kind), estimate, reference):
+            told = f"{claim.convention}; {BESIDE_TITLES[kind]}"
+            found.append(replace(claim, name=of_beside(claim.name, kind), convention=told))
+    return found
+
+
+def _by_its_own(run: Run, estimate: Estimate, reference: Reference) -> list[Normalised]:
     """Errors of the poses of an estimate beside their estimated covariances."""
     if reference.pose is not None:
         return list((normalised.pose_errors(run, reference, estimate=estimate) or {}).values())
@@ -331,6 +345,9 @@ def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool 
                 agreement=agreement(one.run, other.run, estimates=(estimate, estimate)),
                 held_out=_paired(one.estimates[estimate].held_out, other.estimates[estimate].held_out),
                 error=_difference(one.estimates[estimate].trajectory, other.estimates[estimate].trajectory),
+                agreement_considered=agreement(
+                    one.run, other.run, estimates=(estimate, estimate), considered=True
+                ),
             )
             for estimate in shared_estimates(one.run, other.run)
         },

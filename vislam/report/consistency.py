@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vislam.core.run import Estimate, Run
+from vislam.core.run import Beside, Estimate, Run
 from vislam.evaluation import Evaluation
-from vislam.evaluation.metric import of_statistic
+from vislam.evaluation.metric import of_beside, of_statistic
 from vislam.evaluation.smoothing import NAME as SMOOTHING
 from vislam.evaluation.statistics import Statistic
 from vislam.report.words import times
@@ -13,6 +13,8 @@ from vislam.report.words import times
 _NEES = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 _MAIN: dict[Estimate, tuple[str, ...]] = {"filtered": (*_NEES, "nis"), "smoothed": (*_NEES, "fit")}
 """Statistics that speak for the consistency of an estimate, the first that a run has."""
+_SPOKEN_OF: Beside = "considered"
+"""Covariances that speak for a run that has them, in place of its own."""
 _FEWEST = 2.0
 """Effective samples below which a value within its interval says nothing."""
 _WHITE = 0.05
@@ -31,26 +33,30 @@ class Consistency:
         NEES.
     smoothing : Statistic or None
         Of its smoothed less its filtered poses; None where it has not both.
+    own : Statistic or None
+        By its own covariances, where the others are with the shared errors considered; else None.
     """
 
     statistic: Statistic
     gap: float | None
     coverage: float | None
     smoothing: Statistic | None
+    own: Statistic | None = None
 
     @classmethod
     def of(cls, run: Run, evaluation: Evaluation, estimate: Estimate) -> "Consistency | None":
         """Look it up; None for a run that has none."""
         found = (evaluation.statistic(run.name, key, estimate) for key in _MAIN[estimate])
-        statistic = next((one for one in found if one is not None), None)
-        if statistic is None:
+        own = next((one for one in found if one is not None), None)
+        if own is None:
             return None
+        statistic = evaluation.statistic(run.name, of_beside(own.name, _SPOKEN_OF), estimate) or own
         part = statistic.name.removeprefix("nees_")
         gap, coverage = (
             evaluation.value(run.name, f"{key}_{part}", estimate) for key in ("scale_gap", "coverage_90")
         )
-        own = evaluation.statistic(run.name, SMOOTHING) if estimate == "smoothed" else None
-        return cls(statistic, gap, coverage, own)
+        moved = evaluation.statistic(run.name, SMOOTHING) if estimate == "smoothed" else None
+        return cls(statistic, gap, coverage, moved, None if statistic is own else own)
 
     @property
     def word(self) -> str:
@@ -85,7 +91,8 @@ class Consistency:
             )
         told = ", ".join(filter(None, parts))
         title = of_statistic(self.statistic.name).title
-        numbers = f"({title} {self.statistic.value:.3g}, {low:.2g} to {high:.2g} expected)"
+        alone = "" if self.own is None else f"; {self.own.value:.3g} by its own covariances"
+        numbers = f"({title} {self.statistic.value:.3g}, {low:.2g} to {high:.2g} expected{alone})"
         verb = "" if self.word.startswith("cannot") else "is "
         said = f"{self.word}: {told}" if told and verb else self.word
         return f"{verb}{said} {numbers}{self._moved()}"

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from vislam.base.distributions import chi2_quantile
 from vislam.base.legible import literal
 from vislam.core.run import Run
-from vislam.evaluation.metric import of_statistic
+from vislam.evaluation.metric import of_beside, of_statistic
 from vislam.evaluation.normalised import COMPONENTS, PROBABILITIES, Normalised
 from vislam.evaluation.statistics import LAGS
 from vislam.report.canvas import TIME, band, legend, logarithmic, new_figure, panels
@@ -41,6 +41,19 @@ def main_claims(shown: Shown) -> dict[str, Normalised]:
     return found
 
 
+def considered_claims(shown: Shown) -> dict[str, Normalised]:
+    """The same with the shared errors considered, of the runs that have considered them."""
+    every = {name: shown.scores[name].claims for name in shown.runs}
+    by_key = {name: of_beside(claim.name, "considered") for name, claim in main_claims(shown).items()}
+    return {name: every[name][key] for name, key in by_key.items() if key in every[name]}
+
+
+def _considered_line(axes: Axes, claims: Mapping[str, Normalised]) -> None:
+    """Put what is drawn dashed into the legend, if anything is."""
+    if claims:
+        axes.plot([], [], color="k", lw=0.9, ls="--", label="shared errors considered")
+
+
 def nees(shown: Shown) -> Figure | None:
     """Normalised squared error of each pose, per degree of freedom, with its 95 % interval."""
     claims = main_claims(shown)
@@ -50,6 +63,11 @@ def nees(shown: Shown) -> Figure | None:
     for name, claim in claims.items():
         values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
         axes.plot(shown.time_at(claim.index), values, lw=0.9, color=shown.colour(name), label=literal(name))
+    wider = considered_claims(shown)
+    for name, claim in wider.items():
+        values = np.maximum(claim.nees / claim.whitened.shape[1], _LOWEST)
+        axes.plot(shown.time_at(claim.index), values, lw=0.9, ls="--", color=shown.colour(name))
+    _considered_line(axes, wider)
     freedom = next(iter(claims.values())).whitened.shape[1]
     low, high = chi2_quantile([0.025, 0.975], freedom) / freedom
     axes.axhspan(low, high, color="0.8", lw=0, label="95 % interval of a consistent estimator")
@@ -75,6 +93,7 @@ def bands(shown: Shown) -> Figure | None:
     if size == len(COMPONENTS):
         components = list(zip(COMPONENTS, ["deg"] * 3 + ["m"] * 3, strict=True))
     figure, rows = panels(size, 1.0 + 1.25 * size)
+    wider = considered_claims(shown)
     for index, (axes, (component, unit)) in enumerate(zip(rows, components, strict=True)):
         scale = float(np.rad2deg(1.0)) if unit == "deg" else 1.0
         reach = 0.0
@@ -84,10 +103,15 @@ def bands(shown: Shown) -> Figure | None:
             axes.plot(time, error, lw=0.9, color=shown.colour(name), label=literal(name))
             band(axes, time, -limit, limit, color=shown.colour(name), alpha=0.18)
             reach = max(reach, 1.5 * float(np.abs(error).max()))
+        for name, claim in wider.items():
+            limit = _SIGMAS * scale * claim.sigma[:, index]
+            for side in (-limit, limit):
+                axes.plot(shown.time_at(claim.index), side, lw=0.9, ls="--", color=shown.colour(name))
         axes.set_ylabel(f"{component} [{unit}]")
         if reach > 0.0:
             axes.set_ylim(-reach, reach)
     three_sigma_band(rows[0])
+    _considered_line(rows[0], wider)
     rows[-1].set_xlabel(TIME)
     legend(figure, rows[0])
     return figure
@@ -103,6 +127,10 @@ def coverage(shown: Shown) -> Figure | None:
     axes.plot([0, 1], [0, 1], color="k", lw=0.6, label="nominal")
     for name, claim in claims.items():
         axes.plot(PROBABILITIES, claim.coverage_curve(), color=shown.colour(name), label=literal(name))
+    wider = considered_claims(shown)
+    for name, claim in wider.items():
+        axes.plot(PROBABILITIES, claim.coverage_curve(), ls="--", color=shown.colour(name))
+    _considered_line(axes, wider)
     axes.set(xlabel="nominal share", ylabel="share of the errors", xlim=(0, 1), ylim=(0, 1.02))
     axes.set_aspect("equal")
     legend(figure, axes)

@@ -15,6 +15,8 @@ _KEYS = (
     "kitti_t_rel",
     "nees_pose",
     "nees_position_planar",
+    "nees_pose_considered",
+    "nees_position_planar_considered",
     "nis_per_dof",
     "observations_used",
     "step_time_p50_ms",

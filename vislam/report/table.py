@@ -19,12 +19,15 @@ SHORT = (
     "nees_pose",
     "nees_position_planar",
     "nees_position_aligned",
+    "nees_pose_considered",
+    "nees_position_planar_considered",
+    "nees_position_aligned_considered",
     "nis_per_dof",
     "step_time_p50_ms",
     "total_time_s",
     "peak_rss_mb",
 )
-"""Rows that the terminal shows: ten at most, with the status."""
+"""Rows that the terminal shows: ten at most with the status, eleven where shared errors are considered."""
 MARKS = "*: best, or not told apart from it; !: outside the interval of a consistent estimator"
 """What the marks of the terminal's tables mean."""
 
