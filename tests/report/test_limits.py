@@ -53,7 +53,7 @@ def test_the_page_has_table_figures_and_a_sentence(found):
     assert {"lag_curve", "bound_filtered", "bound_smoothed"} <= figures.keys()
     told = [
         line
-        for line in verdict(results.runs, evaluation, results.record.reference)
+        for line in verdict(results.runs, evaluation, results.record.reference).reasons
         if "smoothing buys" in line
     ]
     assert [line.partition(":")[0] for line in told] == ["eks", "isam2"]

@@ -31,7 +31,7 @@ from vislam.report.shown import Shown
 from vislam.report.svg import plain_svg, save_png, save_svg
 from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
-from vislam.report.verdict import answer
+from vislam.report.verdict import verdict
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 2
@@ -273,7 +273,7 @@ def metrics_document(
 def headline_of(results: Results, evaluation: Evaluation) -> list[str]:
     """What the terminal shows of the verdict."""
     unequal, reference = unequal_line(results.shared_information()), results.record.reference
-    return answer(results.runs, evaluation, reference, unequal=unequal, spread=results.spread)
+    return verdict(results.runs, evaluation, reference, unequal=unequal, spread=results.spread).answer
 
 
 def announce(results: Results, published: Published, progress: Progress) -> None:
@@ -300,8 +300,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         for estimate in run.estimates:
             for reason in published.evaluation.degenerate(name, estimate):
                 progress.note(f"{name}, {estimate}, is degenerate and not ranked: {reason}")
-    for verdict in published.verdicts:
-        progress.note(verdict.line())
+    for check in published.verdicts:
+        progress.note(check.line())
     if len(published.verdicts) > 1:
         progress.note(summary(published.verdicts))
 

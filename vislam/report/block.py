@@ -45,9 +45,9 @@ class Block:
         sound = [
             name
             for name, run in self.runs.items()
-            if run.complete and not self._degenerate(name) and not (seeing and run.blind)
+            if run.complete and not self.degenerate(name) and not (seeing and run.blind)
         ]
-        values = {name: self._value(name, key) for name in sound}
+        values = {name: self.value(name, key) for name in sound}
         return sorted((value, name) for name, value in values.items() if value is not None)
 
     def error(self, one: str, other: str) -> ErrorDifference | None:
@@ -69,24 +69,11 @@ class Block:
         """How well the errors of a run agree with its covariances; None where nothing says so."""
         return Consistency.of(self.runs[name], self._evaluation, self.estimate)
 
-    def accuracy(self, reference: Reference | None) -> str:
-        """Say who came closest."""
-        if reference is None:
-            return ""
-        spec = METRICS[headline(reference)]
-        ranked = self.ranked(spec.key)
-        if not ranked:
-            return "no estimator finished with a sound estimate, so none can be called closest."
-        told = listed(ranked, spec.digits, spec.unit)
-        if len(ranked) == 1:
-            return f"{told} from {reference.name} ({spec.title}), with none to compare it with."
-        return f"closest to {reference.name} is {ranked[0][1]} ({spec.title}: {told})."
-
     def misled(self, reference: Reference, without: str, least: float) -> str:
         """Name those that are farther off than a run without the camera is, and sure of themselves."""
         spec = METRICS[headline(reference)]
         seeing = [name for name, run in self.runs.items() if run.complete and not run.blind]
-        values = {name: self._value(name, spec.key) for name in seeing}
+        values = {name: self.value(name, spec.key) for name in seeing}
         found = sorted(
             (value, name)
             for name, value in values.items()
@@ -103,7 +90,7 @@ class Block:
 
     def not_ranked(self) -> str:
         """Name the runs that are no answer to the data, and why."""
-        told = [f"{name} ({'; '.join(reasons)})" for name in self.runs if (reasons := self._degenerate(name))]
+        told = [f"{name} ({'; '.join(reasons)})" for name in self.runs if (reasons := self.degenerate(name))]
         return f"degenerate and not ranked: {'; '.join(told)}." if told else ""
 
     def prediction(self, reference: Reference | None) -> str:
@@ -133,7 +120,7 @@ class Block:
         """Lengths of the paths beside that by the inertial data alone."""
         spec = METRICS["path_length"]
         ranked = self.ranked(spec.key, seeing=True)
-        alone = [self._value(name, "path_length_inertial") for _, name in ranked]
+        alone = [self.value(name, "path_length_inertial") for _, name in ranked]
         if not ranked or alone[0] is None:
             return ""
         told = listed(ranked, spec.digits, spec.unit)
@@ -141,30 +128,27 @@ class Block:
 
     def consistency(self) -> str:
         """Say who is overconfident, or conservative, and whether innovations are white."""
-        told = [
-            f"{name} {found.said()}"
-            for name, run in self.runs.items()
-            if run.complete and (found := self.consistency_of(name)) is not None
-        ]
+        told: dict[str, list[str]] = {}
+        for name, run in self.runs.items():
+            found = self.consistency_of(name)
+            if run.complete and found is not None:
+                told.setdefault(found.clause, []).append(name)
+        said = [f"{named(names)}: {clause}" for clause, names in told.items()]
         if self.estimate == "filtered":
-            told += innovations(self.runs, self._evaluation)
-        return f"{'; '.join(told)}." if told else ""
-
-    def cost(self) -> str:
-        """Say what the estimates took."""
-        spec = METRICS["total_time_s"]
-        ranked = self.ranked(spec.key)
-        return f"{spec.title} {listed(ranked, spec.digits, spec.unit)}." if ranked else ""
+            said += innovations(self.runs, self._evaluation)
+        return f"{'; '.join(said)}." if said else ""
 
     def _overconfident(self, name: str) -> bool:
         """Whether errors of a run are larger than it says."""
         found = self.consistency_of(name)
         return found is not None and found.word == "overconfident"
 
-    def _degenerate(self, name: str) -> tuple[str, ...]:
+    def degenerate(self, name: str) -> tuple[str, ...]:
+        """Why the estimate of a run is no answer to the data; empty where it is one."""
         return self._evaluation.degenerate(name, self.estimate)
 
-    def _value(self, name: str, key: str) -> float | None:
+    def value(self, name: str, key: str) -> float | None:
+        """A metric of a run."""
         return self._evaluation.value(name, key, self.estimate)
 
     def _pair(self, one: str, other: str) -> tuple[EstimatePair, bool] | None:

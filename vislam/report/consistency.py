@@ -76,35 +76,29 @@ class Consistency:
         if self.gap is None or self.word not in ("overconfident", "conservative"):
             return ""
         if self.word == "overconfident" and self.gap > 1.0:
-            return f"its sigmas are {times(self.gap)} times too small per axis"
+            return f"{times(self.gap)} times too small"
         if self.word == "conservative" and 0.0 < self.gap < 1.0:
-            return f"its sigmas are {times(1.0 / self.gap)} times too large per axis"
+            return f"{times(1.0 / self.gap)} times too large"
         return ""
 
-    def said(self) -> str:
-        """What there is to say after the name of the run."""
+    @property
+    def clause(self) -> str:
+        """What there is to say of one run, or of several alike, after a colon."""
         low, high = self.statistic.interval(0.95)
-        parts = [self.sigmas]
-        if self.coverage is not None:
-            parts.append(
-                f"the 90 % region holds the reference in {100.0 * self.coverage:.0f} % of the frames"
-            )
-        told = ", ".join(filter(None, parts))
-        title = of_statistic(self.statistic.name).title
+        held = "" if self.coverage is None else f"{100.0 * self.coverage:.0f} % within the 90 % region"
+        sigmas = f"sigmas {self.sigmas}" if self.sigmas else ""
+        told = [self.word, *filter(None, [sigmas, held])]
+        title = of_statistic(self.statistic.name).title.partition(" ")[0]
         alone = "" if self.own is None else f"; {self.own.value:.3g} by its own covariances"
         numbers = f"({title} {self.statistic.value:.3g}, {low:.2g} to {high:.2g} expected{alone})"
-        verb = "" if self.word.startswith("cannot") else "is "
-        said = f"{self.word}: {told}" if told and verb else self.word
-        return f"{verb}{said} {numbers}{self._moved()}"
+        return f"{', '.join(told)} {numbers}{self._moved()}"
 
     def _moved(self) -> str:
         """Whether smoothing moved the poses farther than the covariances allow; nothing if it did not."""
         own = self.smoothing
         if own is None or own.value <= own.interval(0.95)[1]:
             return ""
-        return (
-            f", and smoothing moved its poses {times(own.value**0.5)} times as far as its covariances allow"
-        )
+        return f", moved by smoothing {times(own.value**0.5)} times as far as its covariances allow"
 
 
 def innovations(runs: Mapping[str, Run], evaluation: Evaluation) -> list[str]:

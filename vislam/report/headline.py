@@ -3,14 +3,11 @@
 from collections.abc import Sequence
 
 from vislam.core.reference import Reference
-from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import headline as headline_key
 from vislam.evaluation.metric import METRICS
 from vislam.report.block import SURE, Block
-from vislam.report.words import named, times
-
-_ALIKE = 0.2
-"""Share of the best error within which the interval of a difference lies if two runs agree."""
+from vislam.report.standing import Standing, standings
+from vislam.report.words import interval, named, times
 
 
 def headline(blocks: Sequence[Block], reference: Reference | None, *, unequal: bool) -> str:
@@ -54,40 +51,32 @@ def _of_block(block: Block, reference: Reference | None) -> str:
 
 def _compared(block: Block, ranked: Sequence[tuple[float, str]], digits: int) -> str:
     """The best and who agrees with it, who is worse, and who is not told apart from it."""
-    least, best = ranked[0]
-    alike, unclear, worse = [ranked[0]], [], []
-    for value, name in ranked[1:]:
-        found = block.error(name, best)
-        if found is not None and found.real and _outlasts(block, name, best):
-            worse.append(f"{name} is {found.value:.{digits}f} m worse ({_interval(found, digits)})")
-        elif found is not None and found.known and max(-found.low, found.high) <= _ALIKE * least:
-            alike.append((value, name))
-        else:
-            more = f", {_interval(found, digits)} more" if found is not None and found.known else ""
-            unclear.append(f"{name} ({value:.{digits}f} m{more})")
-    parts = [_best(alike, digits, alone=not unclear), *worse]
+    found = standings(block, ranked)
+    alike = [one for one in found if one.word in ("best", "agrees")]
+    unclear = [_unclear(one, digits) for one in found if one.word == "not told apart"]
+    parts = [_best(alike, digits, alone=not unclear)]
+    for one in found:
+        if one.word == "worse" and one.difference is not None:
+            more = f"{one.difference.value:.{digits}f} m worse ({interval(one.difference, digits)} m)"
+            parts.append(f"{one.name} is {more}")
     if unclear:
         parts.append(f"not told apart on this path {'is' if len(unclear) == 1 else 'are'} {named(unclear)}")
     return "; ".join(parts) + _bold(block, [name for _, name in ranked])
 
 
-def _best(alike: Sequence[tuple[float, str]], digits: int, *, alone: bool) -> str:
+def _unclear(one: Standing, digits: int) -> str:
+    found = one.difference
+    more = f", {interval(found, digits)} m more" if found is not None and found.known else ""
+    return f"{one.name} ({one.value:.{digits}f} m{more})"
+
+
+def _best(alike: Sequence[Standing], digits: int, *, alone: bool) -> str:
     """The best, and those that are as good; ``alone`` says whether all others are known to be worse."""
-    values = named([f"{value:.{digits}f}" for value, _ in alike])
-    names = named([name for _, name in alike])
+    values = named(list(dict.fromkeys(f"{one.value:.{digits}f}" for one in alike)))
+    names = named([one.name for one in alike])
     if len(alike) > 1:
         return f"{names} agree, {values} m, {'neither' if len(alike) == 2 else 'none'} is better"
     return f"{names} is best, {values} m" if alone else f"{names} has {values} m"
-
-
-def _interval(found: ErrorDifference, digits: int) -> str:
-    return f"{found.low:.{digits}f} to {found.high:.{digits}f} m"
-
-
-def _outlasts(block: Block, worse: str, best: str) -> bool:
-    """Whether a ranking is the same at all points of the neighbourhood, as far as they are known."""
-    found = None if block.spread is None else block.spread.difference(worse, best, block.estimate)
-    return found is None or found[0] > 0.0
 
 
 def _bold(block: Block, names: Sequence[str]) -> str:
@@ -96,10 +85,13 @@ def _bold(block: Block, names: Sequence[str]) -> str:
     for name in names:
         found = block.consistency_of(name)
         if found is not None and found.word == "overconfident":
-            small = f" by sigmas {times(found.gap)} times too small" if found.sigmas and found.gap else ""
+            small = f"{times(found.gap)} times" if found.sigmas and found.gap else ""
             told.setdefault(small, []).append(name)
-    said = ", ".join(f"{named(some)}{small}" for small, some in told.items())
-    return f"; overconfident: {said}" if said else ""
+    if not told:
+        return ""
+    sigmas = " (sigmas too small)" if any(told) else ""
+    said = [f"{named(some)} {small}".strip() for small, some in told.items()]
+    return f"; overconfident{sigmas}: {', '.join(said)}"
 
 
 def _by_tracks(block: Block) -> str:

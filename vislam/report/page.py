@@ -25,6 +25,7 @@ from vislam.evaluation.spread import Spread
 from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part, render
 from vislam.report.page_tables import (
+    certainty_table,
     counts_table,
     errors_table,
     grouped,
@@ -37,7 +38,7 @@ from vislam.report.page_tables import (
     worst_table,
 )
 from vislam.report.table import comparison_tables
-from vislam.report.verdict import answer, verdict
+from vislam.report.verdict import verdict
 
 WIDE = ("top_view", "ladder")
 """Figures that take the whole width of a page."""
@@ -98,10 +99,7 @@ def write_page(path: Path, content: Content) -> None:
     tables = comparison_tables(runs, evaluation)
     rows = {row[0] for table in tables.values() for row in table.rows}
     shown = [spec for spec in METRICS.values() if spec.label in rows and spec.key in DEFINITIONS]
-    first, whole = (
-        told(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread)
-        for told in (answer, verdict)
-    )
+    told = verdict(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread)
     text = render(
         "page.html",
         title=content.title,
@@ -109,8 +107,9 @@ def write_page(path: Path, content: Content) -> None:
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
         checks=content.checks,
         # A line for the filtered estimates, another for the smoothed ones.
-        answer=[line for told in first for line in told.replace(" Smoothed: ", "\nSmoothed: ").split("\n")],
-        verdict=[*content.noticed, *(told for told in whole if told not in first)],
+        answer="\n".join(told.answer).replace(" Smoothed: ", "\nSmoothed: ").splitlines(),
+        summary=told.summary,
+        verdict=[*content.noticed, *told.reasons],
         reference=record.reference,
         tables=[(ESTIMATE_TITLES[estimate], grouped(table)) for estimate, table in tables.items()],
         defined={spec.label: f"metric-{spec.key}" for spec in shown},
@@ -118,6 +117,7 @@ def write_page(path: Path, content: Content) -> None:
         errors=errors_table(evaluation),
         rungs=rungs_table(content.rungs),
         pairs=pairs_table(evaluation),
+        certainty=certainty_table(evaluation),
         smoothing=smoothing_table(evaluation),
         maps=maps_table(evaluation),
         worst=worst_table(evaluation),

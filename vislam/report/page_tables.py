@@ -4,13 +4,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from vislam.core.run import Run
+from vislam.core.run import Estimate, Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
 from vislam.evaluation.attribution import Rung
 from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import mean_step_ms
 from vislam.evaluation.metric import LAG_METRICS, METRICS, is_error
+from vislam.evaluation.scores import EstimatePair
 from vislam.evaluation.smoothing import SmoothingDifference
 from vislam.evaluation.trajectory import Statistics
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
@@ -98,31 +99,43 @@ def pairs_table(evaluation: Evaluation) -> Table:
 
     The maps are those of the final estimates.
     """
-    header = ["estimators", "estimate", "ATE of the first less the second [m]", "95 % interval"]
-    header += ["apart [m]", "apart, aligned [m]", "maps apart, median [m]"]
-    header += [
-        "squared distance per degree of freedom",
-        "poses beyond 95 %",
-        "inconsistent with each other from frame",
-    ]
-    header += ["variance of the first over the second", "least in", "most in"]
-    header += ["first predicts held-out tracks better [%]", "p"]
+    header = ["estimators", "estimate", "difference of the ATE [m]", "95 % interval [m]", "apart [m]"]
+    header += ["aligned [m]", "maps, median [m]", "first predicts better [%]", "p"]
+    keys = ("trajectory_distance_rmse", "trajectory_distance_aligned_rmse", "map_distance_median")
     rows = []
-    for (one, other), scores in evaluation.pairs.items():
-        for estimate, pair in scores.estimates.items():
-            found, held = pair.agreement, pair.held_out
-            told = ["-"] * 6
-            if found is not None:
-                certainty, frame = found.certainty(), found.parting()
-                told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
-                told += ["never" if frame is None else str(frame), f"{certainty.overall:.3g}"]
-                told += [certainty.smallest_along, certainty.largest_along]
-            keys = ["trajectory_distance_rmse", "trajectory_distance_aligned_rmse", "map_distance_median"]
-            values = [evaluation.value(f"{one}|{other}", key, estimate) for key in keys]
-            better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
-            apart = [_metres(value, ".2f") for value in values]
-            rows.append([f"{one} and {other}", estimate, *_error(pair.error), *apart, *told, *better])
+    for name, estimate, pair in _pairs(evaluation):
+        held = pair.held_out
+        apart = [_metres(evaluation.value("|".join(name), key, estimate), ".2f") for key in keys]
+        better = ["-", "-"] if held is None else [f"{100.0 * held.better:.0f}", f"{held.p_value:.2g}"]
+        rows.append([" and ".join(name), estimate, *_error(pair.error), *apart, *better])
     return Table(header, rows)
+
+
+def certainty_table(evaluation: Evaluation) -> Table:
+    """A row for each two runs and each estimate of which both have covariances: do they agree within them."""
+    header = ["estimators", "estimate", "squared distance per degree of freedom", "poses beyond 95 %"]
+    header += ["inconsistent from frame", "variance of the first over the second", "least in", "most in"]
+    rows = []
+    for name, estimate, pair in _pairs(evaluation):
+        found = pair.agreement
+        if found is not None:
+            certainty, frame = found.certainty(), found.parting()
+            told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
+            told += ["never" if frame is None else str(frame), _ratio(certainty.overall)]
+            told += [certainty.smallest_along, certainty.largest_along]
+            rows.append([" and ".join(name), estimate, *told])
+    return Table(header, rows)
+
+
+def _ratio(value: float) -> str:
+    """Three digits, and none behind the point of a large number."""
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+
+
+def _pairs(evaluation: Evaluation) -> Iterator[tuple[tuple[str, str], Estimate, EstimatePair]]:
+    for name, scores in evaluation.pairs.items():
+        for estimate, pair in scores.estimates.items():
+            yield name, estimate, pair
 
 
 def _error(found: ErrorDifference | None) -> list[str]:

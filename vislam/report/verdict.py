@@ -1,9 +1,10 @@
-"""What a comparison comes to, in sentences: the answer, then accuracy, prediction, consistency and cost.
+"""What a comparison comes to, in sentences: the answer, then what it rests on.
 
 Filtered estimates are ranked among themselves, and smoothed ones are: never one against the other.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from vislam.core.reference import Reference
 from vislam.core.run import ESTIMATES, Run
@@ -15,6 +16,32 @@ from vislam.evaluation.spread import Spread
 from vislam.report.block import Block
 from vislam.report.headline import headline
 from vislam.report.robustness import robustness
+from vislam.report.summary import summary_table
+from vislam.report.table import Table
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is said, the most important first; it rests on numbers that are in ``metrics.json``.
+
+    Attributes
+    ----------
+    answer : list of str
+        Warnings of runs that are misled, and the headline: what a terminal shows.
+    summary : Table
+        A row for each estimate of each run: accuracy, covariance and cost.
+    reasons : list of str
+        What the answer rests on.
+    """
+
+    answer: list[str]
+    summary: Table
+    reasons: list[str]
+
+    @property
+    def sentences(self) -> list[str]:
+        """All of them."""
+        return [*self.answer, *self.reasons]
 
 
 def verdict(
@@ -24,8 +51,8 @@ def verdict(
     *,
     unequal: str = "",
     spread: Spread | None = None,
-) -> list[str]:
-    """Sentences, the most important first; each rests on numbers that are in ``metrics.json``.
+) -> Verdict:
+    """Find it.
 
     Parameters
     ----------
@@ -37,40 +64,33 @@ def verdict(
     spread : Spread or None
         What choices of the settings do to the errors, as far as that is known.
     """
-    blocks = _blocks(runs, evaluation, spread)
-    told = [*_misled(blocks, runs, evaluation, reference)]
-    told += filter(None, [headline(blocks, reference, unequal=bool(unequal)), unequal])
-    if reference is None:
-        told.append("There is no reference: what is said is from the data alone.")
-    for block in blocks:
-        told += block.told(block.accuracy(reference), block.not_ranked(), robustness(block))
-    for block in blocks:
-        told += block.told(block.prediction(reference))
-    for block in blocks:
-        told += block.told(block.consistency())
-    told += _waiting(runs, evaluation, reference)
-    for block in blocks:
-        told += block.told(block.cost())
-    return told
-
-
-def answer(
-    runs: Mapping[str, Run],
-    evaluation: Evaluation,
-    reference: Reference | None,
-    *,
-    unequal: str = "",
-    spread: Spread | None = None,
-) -> list[str]:
-    """What the terminal shows of the verdict: warnings of runs that are misled, and the headline."""
-    blocks = _blocks(runs, evaluation, spread)
-    found = headline(blocks, reference, unequal=bool(unequal))
-    return [*_misled(blocks, runs, evaluation, reference), *filter(None, [found])]
-
-
-def _blocks(runs: Mapping[str, Run], evaluation: Evaluation, spread: Spread | None) -> list[Block]:
     blocks = [Block(runs, evaluation, estimate, spread=spread) for estimate in ESTIMATES]
-    return [block for block in blocks if block.runs]
+    blocks = [block for block in blocks if block.runs]
+    first = headline(blocks, reference, unequal=bool(unequal))
+    return Verdict(
+        answer=[*_misled(blocks, runs, evaluation, reference), *filter(None, [first])],
+        summary=summary_table(blocks, reference),
+        reasons=[*_limits(reference, unequal), *_reasons(blocks, runs, evaluation, reference)],
+    )
+
+
+def _limits(reference: Reference | None, unequal: str) -> Iterator[str]:
+    """What limits all that is said."""
+    if unequal:
+        yield unequal
+    if reference is None:
+        yield "There is no reference: what is said is from the data alone."
+
+
+def _reasons(
+    blocks: list[Block], runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None
+) -> Iterator[str]:
+    """Of each subject what is to be said of the filtered and of the smoothed estimates."""
+    subjects = Block.not_ranked, robustness, lambda block: block.prediction(reference), Block.consistency
+    for say in subjects:
+        for block in blocks:
+            yield from block.told(say(block))
+    yield from _waiting(runs, evaluation, reference)
 
 
 def _misled(

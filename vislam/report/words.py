@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from vislam.evaluation.difference import ErrorDifference
+
 
 def listed(ranked: Sequence[tuple[float, str]], digits: int, unit: str) -> str:
     """Names with their values."""
@@ -16,3 +18,10 @@ def named(names: Sequence[str]) -> str:
 def times(value: float) -> str:
     """How many times, as finely as anybody reads it."""
     return f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
+
+
+def interval(found: ErrorDifference, digits: int) -> str:
+    """Ends of the interval of a difference."""
+    # Without the sign of a zero.
+    low, high = (round(end, digits) + 0.0 for end in (found.low, found.high))
+    return f"{low:.{digits}f} to {high:.{digits}f}"
