@@ -152,7 +152,8 @@ def test_a_filtered_and_a_smoothed_estimate_are_not_ranked(rng):
     assert not any("plain" in text or "better" in text for text in smoothed)
     # Ranked as they end, the smoother would have been the closest, and is where it meets its like.
     other = replace(pair[1], name="other", smoothed=pair[0].filtered)
-    assert "Smoothed: late has 0.00 m; not told apart on this path is other (0.0" in said([*pair, other], drive)[0]
+    told = said([*pair, other], drive)[0]
+    assert "Smoothed: late has 0.00 m; not told apart on this path is other (0.0" in told
 
 
 def test_a_run_without_smoothed_poses_is_in_one_block(rng):
@@ -243,7 +244,7 @@ def test_one_effective_sample_does_not_make_a_run_consistent(rng):
     cov = np.broadcast_to(np.diag(np.full(6, 1.0) * SIGMA**2), (FRAMES, 6, 6))
     one = made_run("one", se3.retract(truth, staying), cov=cov)
     (told,) = [text for text in said([one], record(rng)) if "NEES" in text]
-    assert "one: cannot be told: one effective sample, " in told
+    assert "one: cannot be told from one effective sample, " in told
     assert "consistent" not in told
 
 

@@ -8,7 +8,7 @@ from vislam.evaluation import Evaluation
 from vislam.evaluation.metric import of_beside, of_statistic
 from vislam.evaluation.smoothing import NAME as SMOOTHING
 from vislam.evaluation.statistics import Statistic
-from vislam.report.words import times
+from vislam.report.words import plain, times
 
 _NEES = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 _MAIN: dict[Estimate, tuple[str, ...]] = {"filtered": (*_NEES, "nis"), "smoothed": (*_NEES, "fit")}
@@ -60,14 +60,14 @@ class Consistency:
 
     @property
     def word(self) -> str:
-        """One word, or why there is none."""
+        """One word, or that there is none: from a single effective sample."""
         low, high = self.statistic.interval(0.95)
         if self.statistic.value > high:
             return "overconfident"
         if self.statistic.value < low:
             return "conservative"
         if self.statistic.samples > 1 and self.statistic.effective < _FEWEST:
-            return "cannot be told: one effective sample"
+            return "cannot be told"
         return "consistent"
 
     @property
@@ -87,10 +87,11 @@ class Consistency:
         low, high = self.statistic.interval(0.95)
         held = "" if self.coverage is None else f"{100.0 * self.coverage:.0f} % within the 90 % region"
         sigmas = f"sigmas {self.sigmas}" if self.sigmas else ""
-        told = [self.word, *filter(None, [sigmas, held])]
+        word = self.word if self.word != "cannot be told" else "cannot be told from one effective sample"
+        told = [word, *filter(None, [sigmas, held])]
         title = of_statistic(self.statistic.name).title.partition(" ")[0]
-        alone = "" if self.own is None else f"; {self.own.value:.3g} by its own covariances"
-        numbers = f"({title} {self.statistic.value:.3g}, {low:.2g} to {high:.2g} expected{alone})"
+        alone = "" if self.own is None else f"; {plain(self.own.value)} by its own"
+        numbers = f"({title} {plain(self.statistic.value)}, {low:.2g} to {high:.2g} expected{alone})"
         return f"{', '.join(told)} {numbers}{self._moved()}"
 
     def _moved(self) -> str:

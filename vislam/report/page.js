@@ -39,7 +39,7 @@
     button.type = "button";
     const what = header.querySelector("a.what");
     if (what) what.remove();
-    button.append(...header.childNodes);
+    button.textContent = header.textContent.trim();
     button.addEventListener("click", () => sort(header));
     header.append(button, ...(what ? [what] : []));
   }

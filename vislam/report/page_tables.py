@@ -16,6 +16,7 @@ from vislam.evaluation.smoothing import SmoothingDifference
 from vislam.evaluation.trajectory import Statistics
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
 from vislam.report.table import Table
+from vislam.report.words import plain
 
 _GROUPS = ("Accuracy and prediction", "Consistency", "Work and cost")
 _OF_ACCURACY = ("path_length", "height_end")
@@ -121,15 +122,10 @@ def certainty_table(evaluation: Evaluation) -> Table:
         if found is not None:
             certainty, frame = found.certainty(), found.parting()
             told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
-            told += ["never" if frame is None else str(frame), _ratio(certainty.overall)]
+            told += ["never" if frame is None else str(frame), plain(certainty.overall)]
             told += [certainty.smallest_along, certainty.largest_along]
             rows.append([" and ".join(name), estimate, *told])
     return Table(header, rows)
-
-
-def _ratio(value: float) -> str:
-    """Three digits, and none behind the point of a large number."""
-    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
 def _pairs(evaluation: Evaluation) -> Iterator[tuple[tuple[str, str], Estimate, EstimatePair]]:

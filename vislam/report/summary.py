@@ -57,4 +57,4 @@ def _certainty(found: Consistency | None) -> list[str]:
     if found is None:
         return ["not given", "-"]
     share = "-" if found.coverage is None else f"{100.0 * found.coverage:.0f} %"
-    return [found.sigmas or found.word.partition(":")[0], share]
+    return [found.sigmas or found.word, share]

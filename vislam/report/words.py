@@ -20,6 +20,11 @@ def times(value: float) -> str:
     return f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
 
 
+def plain(value: float) -> str:
+    """Three digits of a number, and none behind the point of a large one."""
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
 def interval(found: ErrorDifference, digits: int) -> str:
     """Ends of the interval of a difference."""
     # Without the sign of a zero.
