@@ -13,7 +13,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from vislam.base.errors import INTERRUPTED, ConfigError, DataError, DivergedError, Interrupted, first_line
+from vislam.base.errors import (
+    INTERRUPTED,
+    ConfigError,
+    ContractError,
+    DataError,
+    DivergedError,
+    Interrupted,
+    first_line,
+)
 from vislam.base.files import check_writable
 from vislam.base.legible import one_line, quoted
 from vislam.base.shipped import find_config, shipped_configs
@@ -155,7 +163,7 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
         try:
             with interruptible():
                 return work()
-        except (ConfigError, DataError) as error:
+        except (ConfigError, DataError, ContractError) as error:
             return _fail(str(error), 2)
         except DivergedError as error:
             return _fail(str(error), 1)

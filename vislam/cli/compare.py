@@ -24,7 +24,7 @@ from vislam.cli.command import (
     load_config,
     refuse_bad_check_options,
 )
-from vislam.cli.recording import add_choice_options, choice_of
+from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,6 +48,7 @@ def _parser() -> Parser:
         "printed and saved in --out",
     )
     add_choice_options(parser)
+    add_front_end_option(parser)
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
@@ -75,7 +76,12 @@ def _compare(options: argparse.Namespace) -> int:
     if options.data is not None:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 
-        options.config = config_of(options.data, out=options.out, choice=choice_of(options))
+        options.config = config_of(
+            options.data,
+            out=options.out,
+            choice=choice_of(options),
+            front_end=options.front_end,
+        )
     if not options.dump_config:
         begin(f"compare {options.config}")
     config = load_config(options)

@@ -20,8 +20,8 @@ from vislam.core.rigid_fit import continuations, rigid_fits
 from vislam.core.sequence import Sequence
 from vislam.datasets.bag_topics import Choice
 from vislam.datasets.images import is_images, open_images
-from vislam.frontend.cache import copy_tracks, tracks_of
-from vislam.frontend.settings import FrontEndConfig
+from vislam.frontend.cache import copy_tracks, require_opencv, tracks_of
+from vislam.frontend.registry import choose_front_end
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import bare_tree, unrepaired
 from vislam.inspection.finding import Inspection
@@ -43,7 +43,7 @@ _KNOWN = 1e-3
 _GYRO = 3
 
 
-def config_of(data: Path, *, out: Path, choice: Choice) -> Path:
+def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
     """Make a config for a recording, print it and save it in the folder of the results.
 
     Parameters
@@ -54,6 +54,8 @@ def config_of(data: Path, *, out: Path, choice: Choice) -> Path:
         Folder of the results; the tracks are copied into it, too.
     choice : Choice
         Topics and calibration of a bag, where they are not to be guessed.
+    front_end : str
+        Name of what makes the tracks.
 
     Returns
     -------
@@ -66,7 +68,7 @@ def config_of(data: Path, *, out: Path, choice: Choice) -> Path:
     of_images = data.is_dir() or is_images(data)
     tree, levelled, velocity = bare_tree(data.stem, str(data.resolve())), False, True
     if of_images:
-        tree, levelled, velocity = _tracked(open_images(data, choice), out, terminal)
+        tree, levelled, velocity = _tracked(open_images(data, choice), front_end, out, terminal)
     path = out / f"{tree['name']}.yaml"
     check_writable(path)
     config = settings.parse(configuration.Config, tree)
@@ -88,9 +90,12 @@ def config_of(data: Path, *, out: Path, choice: Choice) -> Path:
     return path
 
 
-def _tracked(recording: ImageRecording, out: Path, terminal: Terminal) -> tuple[dict[str, Any], bool, bool]:
+def _tracked(
+    recording: ImageRecording, front_end: str, out: Path, terminal: Terminal
+) -> tuple[dict[str, Any], bool, bool]:
     """Tracks of images in the folder of the results, and the config that reads them."""
-    made_path, made = tracks_of(recording, FrontEndConfig(), progress=terminal)
+    require_opencv()
+    made_path, made = tracks_of(recording, choose_front_end(front_end), progress=terminal)
     path = out / f"{recording.name}_tracks.npz"
     check_writable(path)
     copy_tracks(made_path, path)

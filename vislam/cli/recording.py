@@ -30,6 +30,16 @@ def add_choice_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_front_end_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the front end."""
+    parser.add_argument(
+        "--front-end",
+        default="klt",
+        metavar="NAME",
+        help="what makes the tracks: one that is installed, or my_module:build (default: klt)",
+    )
+
+
 def choice_of(options: argparse.Namespace) -> Choice:
     """What the options say."""
     return Choice(options.left, options.right, options.imu, options.calibration)

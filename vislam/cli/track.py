@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.cli.command import Parser, answer, overrides
-from vislam.cli.recording import add_choice_options, choice_of
+from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,6 +29,7 @@ def _parser() -> Parser:
     add = parser.add_argument
     add("recording", type=Path, metavar="PATH", help="folder of the images, or bag")
     add_choice_options(parser)
+    add_front_end_option(parser)
     add("-o", "--out", type=Path, required=True, metavar="FILE", help="the .npz file to write")
     add("--seed", type=int, default=None, help="seed of the consensus (default: 0)")
     add(
@@ -45,21 +46,20 @@ def _parser() -> Parser:
 
 def _track(options: argparse.Namespace) -> int:
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
-    from vislam.base import settings  # noqa: PLC0415
     from vislam.base.errors import ConfigError  # noqa: PLC0415
     from vislam.base.files import check_writable  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.datasets.images import open_images  # noqa: PLC0415
     from vislam.frontend.cache import copy_tracks, require_opencv, tracks_of  # noqa: PLC0415
-    from vislam.frontend.settings import FrontEndConfig  # noqa: PLC0415
+    from vislam.frontend.registry import choose_front_end  # noqa: PLC0415
 
     if options.out.suffix != ".npz":
         raise ConfigError(f"--out must name a .npz file, got {options.out}")
-    config = settings.parse(FrontEndConfig, overrides(options), at="--set")
     require_opencv()
+    chosen = choose_front_end(options.front_end, overrides(options))
     check_writable(options.out)
     recording, terminal = open_images(options.recording, choice_of(options)), Terminal()
-    path, made = tracks_of(recording, config, progress=terminal, fresh=options.fresh)
+    path, made = tracks_of(recording, chosen, progress=terminal, fresh=options.fresh)
     copy_tracks(path, options.out)
     summary = json.loads(
         options.out.with_name(f"{options.out.stem}_front_end.json").read_text(encoding="utf-8")

@@ -184,7 +184,7 @@ def _built(
         if options:
             raise ConfigError(f"{at}: it takes no options, got {', '.join(map(str, options))}")
         return builder(problem)
-    kind = _hint(builder, takes[1].name)
+    kind = annotation_of(builder, takes[1].name)
     if isinstance(kind, type) and is_dataclass(kind):
         names = [item.name for item in fields(kind)]
         for name in options:
@@ -194,7 +194,7 @@ def _built(
     return builder(problem, options)
 
 
-def _hint(builder: Callable[..., Estimator], parameter: str) -> Any:
+def annotation_of(builder: Callable[..., Any], parameter: str) -> Any:
     """Annotation of a parameter of a function or class; None if it has none, or none that can be resolved."""
     called = vars(builder).get("__init__", builder) if isinstance(builder, type) else builder
     try:

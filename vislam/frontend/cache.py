@@ -3,7 +3,6 @@
 import hashlib
 import json
 import shutil
-from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from vislam.base.files import replace_whole
 from vislam.base.progress import Progress
 from vislam.core.images import Content, ImageRecording, StampedPoses
 from vislam.datasets.download import cache_folder
-from vislam.frontend.settings import FrontEndConfig
+from vislam.frontend.registry import Chosen
 
 _DIGITS = 20
 _SOURCES = Path(__file__).parents[1]
@@ -29,14 +28,15 @@ def require_opencv() -> None:
 
 
 def tracks_of(
-    recording: ImageRecording, config: FrontEndConfig, *, progress: Progress, fresh: bool = False
+    recording: ImageRecording, chosen: Chosen, *, progress: Progress, fresh: bool = False
 ) -> tuple[Path, bool]:
     """File with the tracks of a recording in the user's cache, made if it is not there.
 
     Parameters
     ----------
     recording : ImageRecording
-    config : FrontEndConfig
+    chosen : Chosen
+        Front end and settings.
     progress : Progress
     fresh : bool
         Whether to make it even if it is there.
@@ -59,11 +59,12 @@ def tracks_of(
     from vislam.frontend.track import track  # noqa: PLC0415
     from vislam.frontend.track_file import write_tracked  # noqa: PLC0415
 
-    digest = _digest(recording, config, progress)
+    digest = _digest(recording, chosen, progress)
     path = cache_folder() / "tracks" / digest / "tracks.npz"
     if path.is_file() and not fresh:
         return path, False
-    write_tracked(path, recording, track(recording, config, progress=progress), config)
+    tracked = track(recording, chosen.reading, progress=progress, build=chosen.build)
+    write_tracked(path, recording, tracked, chosen)
     return path, True
 
 
@@ -77,14 +78,14 @@ def copy_tracks(source: Path, target: Path) -> None:
                 shutil.copyfile(part(source), temporary)
 
 
-def _digest(recording: ImageRecording, config: FrontEndConfig, progress: Progress) -> str:
+def _digest(recording: ImageRecording, chosen: Chosen, progress: Progress) -> str:
     """Hash of all that the tracks depend on."""
     digest = hashlib.sha256()
     for room in _ROOMS:
         place = _SOURCES / room
         for source in [place] if place.is_file() else sorted(place.rglob("*.py")):
             digest.update(source.read_bytes())
-    digest.update(json.dumps(asdict(config)).encode())
+    digest.update(json.dumps([chosen.name, chosen.settings, chosen.origin], default=str).encode())
     digest.update(f"{_opencv_version()}|{recording.name}|{recording.pair}|{recording.counts}".encode())
     digest.update(recording.stamp.tobytes())
     inertia, reference = recording.inertia, recording.reference

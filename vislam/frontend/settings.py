@@ -9,8 +9,21 @@ from vislam.base.fields import STRICT, NonNegative, Positive, Probability, Seed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class FrontEndConfig:
-    """Settings of the front end; pixels are those of the images as they are."""
+class ReadingConfig:
+    """Settings of what is done with images and tracks, whichever front end makes these."""
+
+    equalise: bool = False
+    """Whether local contrast is equalised (CLAHE) first: for dark rooms, and cameras of unlike exposure."""
+    row_correction: bool = True
+    """Whether the right camera is turned, by less than a degree, so that rows agree in the mean; what was
+    found stands in the counts."""
+    fewest_observations: Annotated[int, Field(ge=1)] = 4
+    """Tracks with fewer are left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class FrontEndConfig(ReadingConfig):
+    """Settings of our front end; pixels are those of the images as they are."""
 
     features: Annotated[int, Field(ge=20, le=5000)] = 200
     """Tracks that are to be in view."""
@@ -46,12 +59,5 @@ class FrontEndConfig:
     widest_deg: Annotated[float, Field(gt=0, lt=89)] = 65.0
     """Largest angle between a ray and the axis of the rectified camera [deg]: in it, pixel noise grows with
     the square of the secant."""
-    equalise: bool = False
-    """Whether local contrast is equalised (CLAHE) first: for dark rooms, and cameras of unlike exposure."""
-    row_correction: bool = True
-    """Whether the right camera is turned, by less than a degree, so that rows agree in the mean; what was
-    found stands in the counts."""
-    fewest_observations: Annotated[int, Field(ge=1)] = 4
-    """Tracks with fewer are left out."""
     seed: Seed = 0
     """Seed of the draws of the consensus."""

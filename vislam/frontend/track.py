@@ -12,11 +12,11 @@ from vislam.base.progress import Progress
 from vislam.base.types import Array, IntArray
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
 from vislam.core.sequence import Sequence
-from vislam.frontend.gyro import Turns
 from vislam.frontend.pictures import Pictures
+from vislam.frontend.protocol import Build, checked, counts_of
 from vislam.frontend.rows import row_rotation
-from vislam.frontend.settings import FrontEndConfig
-from vislam.frontend.tracker import Tracker
+from vislam.frontend.settings import ReadingConfig
+from vislam.frontend.tracker import build
 from vislam.frontend.tracks import Tracks
 from vislam.models.stereo_pair import StereoPair
 
@@ -46,44 +46,51 @@ class Tracked:
     figures: dict[str, float]
 
 
-def track(recording: ImageRecording, config: FrontEndConfig, *, progress: Progress) -> Tracked:
-    """Run the front end over a recording, one pair of images in memory at a time.
+def track(
+    recording: ImageRecording, config: ReadingConfig, *, progress: Progress, build: Build = build
+) -> Tracked:
+    """Run a front end over a recording, one pair of images in memory at a time.
+
+    Parameters
+    ----------
+    recording : ImageRecording
+    config : ReadingConfig
+        Settings of the reading, and, for our front end, a FrontEndConfig.
+    progress : Progress
+    build : callable
+        Makes the front end of the recording and of ``config``; ours, if it is not named.
 
     Raises
     ------
     DataError
         If fewer than two pairs can be used, or no track is left.
+    ContractError
+        If what the front end returned is not what it may return.
     """
     # Others may have set it: what is measured here is one core, and the result is the same on any number.
     cv2.setNumThreads(1)
     started = time.perf_counter(), time.process_time()
     pictures = Pictures(recording, equalise=config.equalise)
-    tracker = Tracker(recording.pair, config, _turns(recording))
+    front_end = build(recording, config)
     kept: list[tuple[int, Tracks]] = []
     with progress.bar("tracking", len(recording)) as bar:
         for pictured in pictures:
             stamp = float(recording.stamp[pictured.index])
-            found = tracker.process(pictured.left, pictured.right, stamp=stamp)
+            found = front_end.process(pictured.left, pictured.right, stamp=stamp)
             if found is not None:
-                kept.append((pictured.index, found))
+                kept.append((pictured.index, checked(found, index=pictured.index)))
             bar.done(pictured.index + 1)
     seconds = time.perf_counter() - started[0], time.process_time() - started[1]
-    counts = {**recording.counts, **pictures.counts, **tracker.counts, "frames": len(kept)}
+    counts = {**recording.counts, **pictures.counts, **counts_of(front_end), "frames": len(kept)}
     if len(kept) < _FEWEST:
         told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
         raise DataError(f"{recording.left.place}: must have {_FEWEST} pairs that can be used ({told})")
     return _assembled(recording, config, kept, counts, seconds=seconds)
 
 
-def _turns(recording: ImageRecording) -> Turns | None:
-    if recording.inertia is None:
-        return None
-    return Turns(recording.inertia, imu_R_cam=recording.pair.rig.imu_T_cam[:3, :3])
-
-
 def _assembled(
     recording: ImageRecording,
-    config: FrontEndConfig,
+    config: ReadingConfig,
     kept: list[tuple[int, Tracks]],
     counts: dict[str, int],
     *,
@@ -91,6 +98,7 @@ def _assembled(
 ) -> Tracked:
     """Put the frames together, without short tracks, and with rows that agree."""
     ids = np.concatenate([tracks.track for _, tracks in kept])
+    _, ids = np.unique(ids, return_inverse=True)
     frame = np.repeat(np.arange(len(kept)), [len(tracks) for _, tracks in kept])
     life = np.bincount(ids)
     long_enough = life[ids] >= config.fewest_observations
@@ -145,7 +153,7 @@ def _offsets(frame: IntArray, frames: int) -> IntArray:
 
 
 def _rows_corrected(
-    pair: StereoPair, pixels: Array, right: Array, config: FrontEndConfig
+    pair: StereoPair, pixels: Array, right: Array, config: ReadingConfig
 ) -> tuple[Array, dict[str, float]]:
     """Turn the right camera so that rows agree; what they were off by before and after."""
     off = pixels[:, 1] - pixels[:, 3]

@@ -1,7 +1,6 @@
 """Files that the front end writes: the tracks in the open track format, and what it has to say of them."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from vislam.core.reference import Reference
 from vislam.datasets.export import write_tum
 from vislam.datasets.recording import Recording
 from vislam.datasets.tracks_npz import write_tracks_npz
-from vislam.frontend.settings import FrontEndConfig
+from vislam.frontend.registry import Chosen
 from vislam.frontend.track import Tracked, reference_frames
 
 
@@ -31,7 +30,7 @@ def reference_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_reference.tum")
 
 
-def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, config: FrontEndConfig) -> None:
+def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chosen: Chosen) -> None:
     """Write the tracks, and what belongs to them in files beside.
 
     The tracks are in the open track format (``docs/reference/track_format.md``), with the reference poses
@@ -50,7 +49,8 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, confi
     }
     summary = {
         "recording": recording.name,
-        "settings": asdict(config),
+        "front_end": chosen.name,
+        "settings": chosen.settings,
         "counts": tracked.counts,
         "figures": tracked.figures,
         "velocity": recording.inertia is not None and recording.inertia.velocity is not None,

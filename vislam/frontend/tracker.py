@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vislam.base.types import Array
+from vislam.core.images import ImageRecording
 from vislam.frontend.consensus import agree
 from vislam.frontend.corners import cells, new_corners
 from vislam.frontend.decoding import Picture
@@ -180,3 +181,10 @@ class Tracker:
         share = good[seen] / tried[seen]
         self._yield[seen] = np.maximum((1.0 - _NEWEST) * self._yield[seen] + _NEWEST * share, _SMALLEST_YIELD)
         self._tried = (cell[:0], ids[:0])
+
+
+def build(recording: ImageRecording, options: FrontEndConfig) -> Tracker:
+    """Our front end for a recording, with the turns by its gyro if it has one."""
+    inertia = recording.inertia
+    turns = None if inertia is None else Turns(inertia, imu_R_cam=recording.pair.rig.imu_T_cam[:3, :3])
+    return Tracker(recording.pair, options, turns)

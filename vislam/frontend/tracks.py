@@ -6,6 +6,7 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.sequence import stereo_triples
+from vislam.models.stereo_pair import StereoPair
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,26 @@ class Tracks:
         """No track."""
         two = np.empty((0, 2))
         return cls(np.empty(0, np.int64), two, two, np.empty((0, 4)), two)
+
+    @classmethod
+    def seen(
+        cls, pair: StereoPair, track: IntArray, left: Array, right: Array, distance: Array | None = None
+    ) -> "Tracks":
+        """Tracks by their pixels in both images, rectified; those without a ray are left out.
+
+        Parameters
+        ----------
+        pair : StereoPair
+        track : (n,)
+            Ids >= 0.
+        left, right : (n, 2)
+            Pixels in the images as they are [px].
+        distance : (n, 2), optional
+            What is known of their quality, as forward-backward distance [px]; 0 if not given.
+        """
+        pixels = np.hstack([pair.rectify_left(left), pair.rectify_right(right)])
+        distance = np.zeros((len(track), 2)) if distance is None else distance
+        return cls(track, left, right, pixels, distance).of(np.asarray(np.isfinite(pixels).all(axis=1)))
 
     def __len__(self) -> int:
         """Return the number of tracks."""
