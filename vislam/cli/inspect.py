@@ -41,8 +41,10 @@ def _inspect(options: argparse.Namespace) -> int:
     begin(f"inspect {options.config or options.file}")
     from vislam.datasets.images import is_images  # noqa: PLC0415
 
-    if is_images(options.config or options.file):
-        return _list(options.config or options.file, choice_of(options))
+    # A YAML file is a config, unless --file says that it is a list of images.
+    path = options.file or options.config
+    if is_images(path) and (path == options.file or path.suffix not in (".yaml", ".yml")):
+        return _list(path, choice_of(options))
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415

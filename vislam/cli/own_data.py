@@ -1,6 +1,7 @@
 """From a path to a config: tracks of images, inspected, with what was measured of them."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ from vislam.base import settings
 from vislam.base.errors import DataError
 from vislam.base.files import check_writable, write_text
 from vislam.base.settings import LONGEST_NAME
-from vislam.base.types import Array
 from vislam.cli.console import Terminal
 from vislam.cli.track import told
 from vislam.comparison import config as configuration
@@ -22,6 +22,7 @@ from vislam.datasets.bag_topics import Choice
 from vislam.datasets.images import is_images, open_images
 from vislam.frontend.cache import copy_tracks, require_opencv, tracks_of
 from vislam.frontend.registry import choose_front_end
+from vislam.geometry import se3
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import bare_tree, unrepaired
 from vislam.inspection.finding import Inspection
@@ -41,6 +42,15 @@ _FAST = 95.0
 _KNOWN = 1e-3
 """Prior standard deviation of the bias of such a velocity [m/s]: it is beyond its noise already."""
 _GYRO = 3
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """What came with the images: whether a velocity, parallel to the earth's surface, and angular rates."""
+
+    levelled: bool = False
+    velocity: bool = True
+    gyro: bool = True
 
 
 def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
@@ -66,9 +76,9 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
     if not data.exists():
         raise DataError(f"{data}: not found; name a folder of stereo images, a bag, or a file of tracks")
     of_images = data.is_dir() or is_images(data)
-    tree, levelled, velocity = bare_tree(data.stem, str(data.resolve())), False, True
+    tree, recorded = bare_tree(data.stem, str(data.resolve())), _Recorded()
     if of_images:
-        tree, levelled, velocity = _tracked(open_images(data, choice), front_end, out, terminal)
+        tree, recorded = _tracked(open_images(data, choice), front_end, out, terminal)
     path = out / f"{tree['name']}.yaml"
     check_writable(path)
     config = settings.parse(configuration.Config, tree)
@@ -76,11 +86,11 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
     result = inspect_sequence(dataset.sequence, config)
     for finding in result.findings:
         terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
-    if not velocity:
-        tree = _without_velocity(tree, result, dataset.sequence)
+    if not recorded.velocity:
+        tree = _without_velocity(tree, result, dataset.sequence, gyro=recorded.gyro)
         text = configuration.dump(settings.parse(configuration.Config, tree))
     else:
-        if levelled:
+        if recorded.levelled:
             settings.put(tree, "data.repair.navigation_frame_velocity", True)
         text = proposed_config(tree, result, folders=[out, Path()], written_to=path)
     write_text(path, text)
@@ -92,7 +102,7 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
 
 def _tracked(
     recording: ImageRecording, front_end: str, out: Path, terminal: Terminal
-) -> tuple[dict[str, Any], bool, bool]:
+) -> tuple[dict[str, Any], _Recorded]:
     """Tracks of images in the folder of the results, and the config that reads them."""
     require_opencv()
     made_path, made = tracks_of(recording, choose_front_end(front_end), progress=terminal)
@@ -117,14 +127,18 @@ def _tracked(
         tree["data"]["reference"] = {
             "file": str(path.with_name(f"{path.stem}_reference.tum").resolve()),
             "format": "tum",
-            "name": "OXTS",
+            "name": reference.name,
             "limits": reference.origin,
         }
-    return tree, bool(summary["levelled"]), bool(summary["velocity"])
+    return tree, _Recorded(*(bool(summary[name]) for name in ("levelled", "velocity", "gyro")))
 
 
-def _without_velocity(tree: dict[str, Any], result: Inspection, sequence: Sequence) -> dict[str, Any]:
+def _without_velocity(
+    tree: dict[str, Any], result: Inspection, sequence: Sequence, *, gyro: bool
+) -> dict[str, Any]:
     """Config for tracks and a gyro: what was measured of these, and a velocity so noisy that it says nothing.
+
+    Without a gyro the angular velocity is as noisy.
 
     Nothing is taken over that was told by a velocity of 0: axes, clock, scale, and its own noise and bias.
     """
@@ -134,24 +148,37 @@ def _without_velocity(tree: dict[str, Any], result: Inspection, sequence: Sequen
             settings.put(tree, dotted, found[dotted])
     settings.put(tree, "data.repair", {"disparity": True, "consensus": True, "duplicated_tracks": False})
     default = configuration.NoiseConfig()
-    gyro = {
+    of_gyro = {
         "twist_density": found.get("noise.twist_density", default.twist_density)[:_GYRO],
         "bias_mean": found.get("noise.bias_mean", default.bias_mean)[:_GYRO],
         "bias_sigma": found.get("noise.bias_sigma", default.bias_sigma)[:_GYRO],
     }
-    density = _unknowing_density(sequence)
-    settings.put(tree, "noise.twist_density", [*gyro["twist_density"], density, density, density])
-    settings.put(tree, "noise.bias_mean", [*gyro["bias_mean"], 0.0, 0.0, 0.0])
-    settings.put(tree, "noise.bias_sigma", [*gyro["bias_sigma"], _KNOWN, _KNOWN, _KNOWN])
+    turning, moving = _unknowing_densities(sequence)
+    if not gyro:
+        of_gyro = {
+            "twist_density": (turning,) * _GYRO,
+            "bias_mean": (0.0,) * _GYRO,
+            "bias_sigma": (_KNOWN,) * _GYRO,
+        }
+    settings.put(tree, "noise.twist_density", [*of_gyro["twist_density"], moving, moving, moving])
+    settings.put(tree, "noise.bias_mean", [*of_gyro["bias_mean"], 0.0, 0.0, 0.0])
+    settings.put(tree, "noise.bias_sigma", [*of_gyro["bias_sigma"], _KNOWN, _KNOWN, _KNOWN])
     return tree
 
 
-def _unknowing_density(sequence: Sequence) -> float:
-    """White noise of a velocity that was not measured [m/sqrt(s)], from the steps that the camera sees."""
+def _unknowing_densities(sequence: Sequence) -> tuple[float, float]:
+    """White noise of rates and velocities that were not measured, from the steps that the camera sees.
+
+    Of the angular velocity [rad/sqrt(s)] and of the velocity [m/sqrt(s)].
+    """
     possible = sequence.select(sequence.disparity > 0.0)
     fits = rigid_fits(possible, continuations(possible))
     if not fits:
         raise DataError(f"{sequence.name}: must have frames whose tracks agree on a motion, got none")
-    steps: Array = np.array([np.linalg.norm(fit.next_T_prev[:3, 3]) for fit in fits.values()])
+    steps = se3.log(np.array([fit.next_T_prev for fit in fits.values()]))
     period = float(np.median(np.diff(sequence.stamp)))
-    return float(f"{_UNKNOWING * np.percentile(steps, _FAST) / np.sqrt(period):.3g}")
+    turning, moving = (
+        _UNKNOWING * np.percentile(np.linalg.norm(part, axis=1), _FAST) / np.sqrt(period)
+        for part in (steps[:, :_GYRO], steps[:, _GYRO:])
+    )
+    return float(f"{turning:.3g}"), float(f"{moving:.3g}")

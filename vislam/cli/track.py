@@ -92,10 +92,10 @@ def told(summary: dict[str, Any], *, made: bool) -> list[str]:
             f"{without} inertial samples are left out: nothing says how the sensor sits on the cameras"
         )
     if not summary["velocity"]:
+        lacking = "VELOCITY" if summary["gyro"] else "INERTIAL SAMPLE"
         lines.append(
-            "NO VELOCITY was recorded: that of the file is 0, and its noise must be set so wide that it "
-            "says nothing "
-            "(docs/guides/your_own_images.md)"
+            f"NO {lacking} was recorded: what the file has is 0, "
+            "and its noise must be set so wide that it says nothing (docs/guides/your_own_images.md)"
         )
     return lines
 

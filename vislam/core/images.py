@@ -103,11 +103,14 @@ class StampedPoses:
         In a world with z up.
     origin : str
         What they were made from, and how.
+    name : str
+        Of the reference, for the report.
     """
 
     stamp: Array
     world_T_imu: Array
     origin: str
+    name: str
 
 
 @dataclass(frozen=True)

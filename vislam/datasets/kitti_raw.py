@@ -14,18 +14,16 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
 from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
+from vislam.datasets.kitti_calibration import matrix_of, numbered, read_calibration, rotation_of
 from vislam.datasets.oxts import read_oxts, read_timestamps
 from vislam.datasets.oxts_poses import oxts_poses
-from vislam.datasets.text import read_lines
-from vislam.geometry import se3, so3
+from vislam.geometry import se3
 from vislam.models.camera import Camera, Lens
 from vislam.models.stereo import StereoRig
 from vislam.models.stereo_pair import StereoPair
 
 _PAIRS = (("00", "01"), ("02", "03"))
 """Grey pair, colour pair."""
-_ROTATION_TOLERANCE = 1e-3
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def drive_in(folder: Path) -> Path | None:
@@ -80,26 +78,21 @@ def load_kitti_raw(folder: Path) -> ImageRecording:
 def _listed(folder: Path) -> Listed:
     """Stamps and files; the file of line k is the one of number k."""
     stamp = read_timestamps(folder / "timestamps.txt")
-    data = folder / "data"
-    names = {path.stem: path for path in data.iterdir() if path.suffix in _SUFFIXES} if data.is_dir() else {}
-    some = next(iter(names.values()), None)
-    suffix = ".png" if some is None else some.suffix
-    paths = [names.get(f"{number:010d}", data / f"{number:010d}{suffix}") for number in range(len(stamp))]
-    return Listed(stamp, ImageFiles(tuple(paths)))
+    return Listed(stamp, ImageFiles(numbered(folder / "data", len(stamp), digits=10)))
 
 
 def _pair(drive: Path, sides: tuple[str, str]) -> StereoPair:
     """Cameras and rectified pair, by the calibration of the day."""
     path = drive.parent / "calib_cam_to_cam.txt"
-    values = _calibration(path)
-    projections = [_of(path, values, f"P_rect_{side}", (3, 4)) for side in sides]
+    values = read_calibration(path)
+    projections = [matrix_of(path, values, f"P_rect_{side}", (3, 4)) for side in sides]
     fx, fy, cx, cy = (float(projections[0][row]) for row in ((0, 0), (1, 1), (0, 2), (1, 2)))
     baseline = float(projections[0][0, 3] - projections[1][0, 3]) / fx if fx >= 1.0 else 0.0
     if baseline <= 0.0 or fy < 1.0:
         raise DataError(
             f"{path}: P_rect must give fx, fy >= 1 px and a baseline > 0 m, got {fx:g}, {fy:g}, {baseline:g}"
         )
-    rect_R_grey = _rotation(path, values, "R_rect_00")
+    rect_R_grey = rotation_of(path, values, "R_rect_00")
     offset = np.asarray(np.linalg.solve(projections[0][:, :3], projections[0][:, 3]), dtype=np.float64)
     cam_T_imu = se3.from_rotation_translation(rect_R_grey, offset) @ _grey_T_imu(drive.parent)
     rig = StereoRig(fx, fy, cx, cy, baseline, se3.inverse(cam_T_imu))
@@ -108,20 +101,20 @@ def _pair(drive: Path, sides: tuple[str, str]) -> StereoPair:
         plain = [Camera(*size, fx, fy, cx, cy) for size in sizes]
         return StereoPair(plain[0], plain[1], np.eye(3), np.eye(3), rig)
     cameras = [_camera(path, values, side) for side in sides]
-    turns = [_rotation(path, values, f"R_rect_{side}") for side in sides]
+    turns = [rotation_of(path, values, f"R_rect_{side}") for side in sides]
     return StereoPair(cameras[0], cameras[1], turns[0], turns[1], rig)
 
 
 def _camera(path: Path, values: dict[str, list[float]], side: str) -> Camera:
-    matrix = _of(path, values, f"K_{side}", (3, 3))
-    lens = _of(path, values, f"D_{side}", (5,))
+    matrix = matrix_of(path, values, f"K_{side}", (3, 3))
+    lens = matrix_of(path, values, f"D_{side}", (5,))
     fx, fy, cx, cy = (float(matrix[row]) for row in ((0, 0), (1, 1), (0, 2), (1, 2)))
     width, height = _size(path, values, f"S_{side}")
     return Camera(width, height, fx, fy, cx, cy, Lens.RADTAN, tuple(float(one) for one in lens))
 
 
 def _size(path: Path, values: dict[str, list[float]], key: str) -> tuple[int, int]:
-    width, height = _of(path, values, key, (2,))
+    width, height = matrix_of(path, values, key, (2,))
     return int(width), int(height)
 
 
@@ -129,42 +122,10 @@ def _grey_T_imu(day: Path) -> Array:
     """Pose of the inertial system in the left grey camera, ``(4, 4)``, by the laser scanner."""
     pose = np.eye(4)
     for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
-        values = _calibration(day / name)
-        rotation = _rotation(day / name, values, "R")
-        pose = pose @ se3.from_rotation_translation(rotation, _of(day / name, values, "T", (3,)))
+        values = read_calibration(day / name)
+        rotation = rotation_of(day / name, values, "R")
+        pose = pose @ se3.from_rotation_translation(rotation, matrix_of(day / name, values, "T", (3,)))
     return pose
-
-
-def _calibration(path: Path) -> dict[str, list[float]]:
-    """Numbers by name; lines that are no numbers, such as the time of calibration, are passed over."""
-    values = {}
-    for _, line in read_lines(path):
-        name, _, rest = line.decode(errors="replace").partition(":")
-        try:
-            values[name.strip()] = [float(text) for text in rest.split()]
-        except ValueError:
-            continue
-    return values
-
-
-def _of(path: Path, values: dict[str, list[float]], key: str, shape: tuple[int, ...]) -> Array:
-    found = values.get(key)
-    if found is None or len(found) != int(np.prod(shape)) or not np.all(np.isfinite(found)):
-        got = "none" if found is None else f"{len(found)}"
-        raise DataError(f"{path}: {key} must be {int(np.prod(shape))} finite numbers, got {got}")
-    return np.array(found).reshape(shape)
-
-
-def _rotation(path: Path, values: dict[str, list[float]], key: str) -> Array:
-    """The rotation nearest to the matrix of a file, which has seven digits."""
-    matrix = _of(path, values, key, (3, 3))
-    off, determinant = so3.defect(matrix)
-    if off > _ROTATION_TOLERANCE or determinant < 0.0:
-        raise DataError(
-            f"{path}: {key} must be a rotation, got R^T R off by {off:.2g}, determinant {determinant:.3g}"
-        )
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray(u @ vt)
 
 
 def _oxts(folder: Path, stamp: Array) -> tuple[Inertia, StampedPoses, dict[str, int]]:

@@ -41,6 +41,7 @@ def oxts_poses(at: Array, table: Array, stamp: Array) -> StampedPoses:
         stamp=wanted,
         world_T_imu=se3.from_rotation_translation(rotation, position),
         origin="OXTS (GNSS/INS), interpolated at the image stamps",
+        name="OXTS",
     )
 
 

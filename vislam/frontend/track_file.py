@@ -54,6 +54,7 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
         "counts": tracked.counts,
         "figures": tracked.figures,
         "velocity": recording.inertia is not None and recording.inertia.velocity is not None,
+        "gyro": recording.inertia is not None,
         "levelled": recording.levelled,
     }
     with replace_whole(quality_path(path)) as temporary, temporary.open("wb") as file:
