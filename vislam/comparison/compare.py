@@ -17,6 +17,7 @@ from vislam.comparison.bounding import drive_bound, refuse_unbounded
 from vislam.comparison.config import LIST_MAKER, Config
 from vislam.comparison.considering import Given, considered, refuse_doubled, wanted
 from vislam.comparison.identity import code_digest, combine, inputs_digest
+from vislam.comparison.inertia import inertia
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
@@ -381,6 +382,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
         lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,
         kept=config.data.landmarks.most,
+        imu=inertia(config, dataset.sequence) if config.motion == "imu" else None,
     )
 
 

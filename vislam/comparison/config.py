@@ -261,6 +261,22 @@ class SharedWalkConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ImuNoiseConfig:
+    """Noise of accelerometer and gyro, in the units of data sheets."""
+
+    gyro_density: Positive = 1.7e-4
+    """White noise of the angular velocity [rad/s/sqrt(Hz)]."""
+    accel_density: Positive = 2e-3
+    """White noise of the specific force [m/s^2/sqrt(Hz)]."""
+    gyro_walk: Positive = 2e-5
+    """Random walk of the gyro's bias [rad/s/sqrt(s)], in data sheets also [rad/s^2/sqrt(Hz)]."""
+    accel_walk: Positive = 3e-3
+    """Random walk of the accelerometer's bias [m/s^2/sqrt(s)], also [m/s^3/sqrt(Hz)]."""
+    gravity: Positive = 9.81
+    """Magnitude of gravity [m/s^2]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class NoiseConfig:
     """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
 
@@ -302,6 +318,8 @@ class NoiseConfig:
     """How these six walk."""
     vertical_velocity: VerticalVelocityConfig | None = None
     """How the vertical velocity is used; null: it is not."""
+    imu: ImuNoiseConfig = ImuNoiseConfig()
+    """Raw inertia, where it is the model of motion; the defaults are EuRoC's data sheet."""
 
     def __post_init__(self) -> None:
         """Refuse a walk of what is taken for known."""
@@ -379,6 +397,9 @@ class Config:
     """The data."""
     noise: NoiseConfig = NoiseConfig()
     """Noise and prior of every estimator."""
+    motion: Literal["odometry", "imu"] = "odometry"
+    """What predicts the motion from frame to frame, for filters and smoothers alike. ``odometry``: the twist.
+    ``imu``: accelerometer and gyro, with the velocity and both biases in the state."""
     held_out: HeldOutConfig = HeldOutConfig()
     """Tracks that are withheld from every estimator, to score them without a reference."""
     gate_probability: Annotated[float, Field(gt=0, lt=1)] = 0.9973

@@ -10,6 +10,8 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from typing import Any, Protocol, get_type_hints
 
+import numpy as np
+
 from vislam.base.errors import ConfigError
 from vislam.base.settings import parse
 from vislam.base.types import Array
@@ -17,6 +19,7 @@ from vislam.core.frame import Frame
 from vislam.core.lagged import Lags
 from vislam.core.step import Final, Step
 from vislam.models import Kernel, SharedPrior, StereoRig, TrackNoise, shared_errors
+from vislam.models.imu import ImuNoise, ImuPrior
 from vislam.models.odometry import MotionNoise
 
 GROUP = "vislam.estimators"
@@ -27,6 +30,8 @@ HEIGHT_SIGMA = 0.02
 """White error of the height against the integrated vertical velocity [m]."""
 UNKNOWN_VERTICAL_VELOCITY = 5.0
 """Standard deviation of the vertical velocity where a step has none [m/s]."""
+UNKNOWN_INERTIA = (0.5, 5.0)
+"""Standard deviations of the mean rate [rad/s] and force [m/s^2] of an interval that no samples cover."""
 FIRST_TWIST_S = 1000.0
 """Of the first twist as much is known beforehand as this time after the first inertial sample [s]."""
 
@@ -45,6 +50,22 @@ class VerticalVelocityNoise:
 
     walk: float
     tilt_sigma: float
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Raw inertia as the model of motion.
+
+    Attributes
+    ----------
+    noise : ImuNoise
+    prior : ImuPrior
+        Of the state at the first frame, in a world whose z axis points up; it takes the place of that of the
+        first pose.
+    """
+
+    noise: ImuNoise
+    prior: ImuPrior
 
 
 @dataclass(frozen=True)
@@ -79,6 +100,8 @@ class Problem:
     kept : int
         Landmarks out of view that are remembered, those seen last: a track id that comes back is one of them.
         0: none comes back.
+    imu : Inertia or None
+        Accelerometer and gyro are the model of motion; None: the twist is.
     """
 
     rig: StereoRig
@@ -99,6 +122,18 @@ class Problem:
     kernel: Kernel | None = None
     lags: Lags | None = None
     kept: int = 0
+    imu: Inertia | None = None
+
+    @property
+    def first_pose(self) -> Array:
+        """Mean ``(4, 4)`` of the first pose: the identity, or by raw inertia upright."""
+        return np.eye(4) if self.imu is None else np.array(self.imu.prior.world_T_imu)
+
+    @property
+    def first_pose_cov(self) -> Array:
+        """Prior covariance ``(6, 6)`` of the first pose, on its right [rad^2, m^2]."""
+        sigma = np.asarray(self.first_pose_sigma)
+        return np.diag(sigma**2) if self.imu is None else np.array(self.imu.prior.cov[:6, :6])
 
     def shared(self) -> dict[str, SharedPrior]:
         """Errors that all tracks share and that are not known, with their priors, by name."""

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.types import Array
+from vislam.core.imu import ImuSeries
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.geometry import se3, so3
 from vislam.geometry.axes import axes_rotation
 from vislam.models import CAMERA_AXES, CameraErrors, StereoRig, odometry
+from vislam.models.imu import ImuPrior
 from vislam.models.shared_errors import (
     CAMERA_ROTATION,
     CLOCK,
@@ -18,12 +20,16 @@ from vislam.models.shared_errors import (
     PRINCIPAL_POINT,
     VELOCITY_DIRECTION,
 )
+from vislam.simulation.imu import ImuTruth, first_guess, in_world_of, simulate_imu
 from vislam.simulation.path import BodyPath, DrivePath
+from vislam.simulation.room import RoomPath
 from vislam.simulation.settings import SimulationConfig
 from vislam.simulation.tracks import simulate_tracks
 
 _SHARED = 1
 """Of the generator of the shared errors: what they are draws nothing from that of the rest."""
+_IMU_STREAM = 2
+"""Of a seed, the generator of raw inertia."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +46,15 @@ class Truth:
         counts for the point that is followed from there on.
     shared : dict of str to (m,)
         What the sequence has of the errors that all tracks share (:mod:`vislam.models.shared_errors`).
+    imu : ImuTruth or None
+        States that raw inertia tells of; None where there is none.
     """
 
     world_T_imu: Array
     bias: Array
     points_world: Array
     shared: dict[str, Array]
+    imu: ImuTruth | None = None
 
 
 def simulate(
@@ -80,7 +89,7 @@ def simulate(
     if path is None:
         if config.recorded is not None:
             raise ValueError("path: recorded needs the poses: see vislam.comparison.simulated")
-        path = DrivePath(config, generator)
+        path = RoomPath(config, generator) if config.path == "room" else DrivePath(config, generator)
     stamp: Array = config.period * np.arange(config.frames, dtype=np.float64)
     world_T_imu = path.pose(stamp)
     origin = se3.inverse(world_T_imu[0])
@@ -109,6 +118,7 @@ def simulate(
         inertial_stamp = inertial_stamp + config.clock_offset
 
     start = upright @ origin
+    inertia = None if config.imu is None else _inertia(config, path, stamp, start, seed=seed)
     sequence = Sequence(
         name=name,
         stamp=stamp,
@@ -128,7 +138,30 @@ def simulate(
             "observations_read": len(tracks.track),
         },
     )
-    return sequence, Truth(start @ world_T_imu, bias, se3.transform(start, tracks.points_world), shared)
+    points = se3.transform(start, tracks.points_world)
+    if inertia is None:
+        return sequence, Truth(start @ world_T_imu, bias, points, shared)
+    series, guess, states = inertia
+    counts = {**sequence.counts, **series.counts}
+    with_imu = replace(sequence, imu=series, start=guess, counts=counts)
+    return with_imu, Truth(start @ world_T_imu, bias, points, shared, states)
+
+
+def _inertia(
+    config: SimulationConfig, path: BodyPath, stamp: Array, start: Array, *, seed: int
+) -> tuple[ImuSeries, ImuPrior, ImuTruth]:
+    """Raw inertia, what is known of the first state, and the true states, in the world of ``start (4, 4)``.
+
+    Of a generator of its own: a drive with raw inertia has the tracks of the one without.
+    """
+    assert config.imu is not None
+    generator = np.random.default_rng([seed, _IMU_STREAM])
+    series, truth = simulate_imu(
+        config.imu, path, stamp, clock_offset=config.clock_offset, generator=generator
+    )
+    truth = in_world_of(start, truth)
+    guess = first_guess(config.imu, start @ path.pose(stamp[:1])[0], truth, generator)
+    return series, guess, truth
 
 
 def _shared(config: SimulationConfig, generator: np.random.Generator) -> dict[str, Array]:

@@ -53,6 +53,41 @@ class RecordedPathConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ImuSimulation:
+    """Raw inertia of a simulated sequence; the defaults are those of EuRoC's sensor, by its data sheet."""
+
+    rate: Annotated[float, Field(ge=20, le=2000)] = 200.0
+    """Samples a second [Hz]."""
+    gyro_density: NonNegative = 1.7e-4
+    """White noise of the angular velocity [rad/s/sqrt(Hz)]."""
+    accel_density: NonNegative = 2e-3
+    """White noise of the specific force [m/s^2/sqrt(Hz)]."""
+    gyro_walk: NonNegative = 2e-5
+    """Random walk of the gyro's bias [rad/s/sqrt(s)]."""
+    accel_walk: NonNegative = 3e-3
+    """Random walk of the accelerometer's bias [m/s^2/sqrt(s)]."""
+    gyro_bias_sigma: Positive = 0.01
+    """Standard deviation of the gyro's first bias, about 0 [rad/s]."""
+    accel_bias_sigma: Positive = 0.1
+    """The same of the accelerometer's [m/s^2]."""
+    gravity: Positive = 9.81
+    """Magnitude of gravity [m/s^2]."""
+    vibration_gyro: NonNegative = 0.0
+    """Root mean square of a shaking of the angular velocity [rad/s]."""
+    vibration_accel: NonNegative = 0.0
+    """The same of the specific force [m/s^2]."""
+    vibration_hz: Positive = 31.0
+    """Its frequency [Hz]; the phase wanders by one radian in a second."""
+    tilt_sigma: Positive = 0.01
+    """How far the attitude that is known at the first frame is off the vertical, about either axis [rad]."""
+    velocity_sigma: Positive = 0.1
+    """How far the velocity that is known at the first frame is off, along each axis [m/s]."""
+    gauge_sigma: Positive = 1e-4
+    """Prior standard deviation of heading and position at the first frame, which are free to be chosen
+    [rad, m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SimulationConfig:
     """A simulated sequence: path, inertial data, stereo tracks and the faults of a recording."""
 
@@ -60,13 +95,14 @@ class SimulationConfig:
     """Number of frames."""
     period: Positive = 0.1046
     """Time between frames [s]."""
-    path: Literal["town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "recorded"] = (
-        "town"
-    )
+    path: Literal[
+        "town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "room", "recorded"
+    ] = "town"
     """Shape of the path. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
     circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
     at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade.
-    ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
+    ``room``: hovering through a room of some metres, turning about all axes; ``speed`` is that along its
+    sides. ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
     recorded: RecordedPathConfig | None = None
     """The poses of ``path: recorded``, and of no other."""
     speed: Positive = 12.7
@@ -168,6 +204,8 @@ class SimulationConfig:
     """Share of the tracks that are born on vehicles driving along at another speed."""
     drift_px: NonNegative = 0.0
     """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
+    imu: ImuSimulation | None = None
+    """Raw inertia beside the twist; null: there is none."""
     navigation_frame_velocity: bool = False
     """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
 
