@@ -140,7 +140,7 @@ def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
     with pytest.raises(DivergedError, match="smallest eigenvalue of H P H' is -1"):
         Update.of(jacobian, projected, -np.eye(3), np.zeros(3))
     camera_free = parametrisation.make("point", StereoRig(1.0, 1.0, 0.0, 0.0, 1.0, np.eye(4)))
-    state = JointState(camera_free, "standard", layout, nav=np.zeros(size), sigma=np.full(size, 0.5))
+    state = JointState(camera_free, "standard", layout, nav=np.zeros(size), cov=0.25 * np.eye(size))
     with pytest.raises(DivergedError, match=r"covariance lost, smallest eigenvalue -0\.75"):
         state.correct(Update.of(jacobian, np.eye(3, size), np.eye(3), np.zeros(3)))
 

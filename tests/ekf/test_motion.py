@@ -55,14 +55,14 @@ def state(layout, frame, rng):
 def test_transition_is_the_derivative_of_the_step(kind, rng, frame):
     motion, layout = built(kind)
     pose, nav = state(layout, frame, rng)
-    found = motion.propagate(layout, nav, frame)
+    found = motion.propagate(layout, pose, nav, frame)
     after, means = pose @ found.prev_T_next, nav + found.change
     for axis in range(layout.size):
         slopes = []
         for sign in (1.0, -1.0):
             error = np.zeros(layout.size)
             error[axis] = 1e-6 * sign
-            other = motion.propagate(layout, nav + error, frame)
+            other = motion.propagate(layout, pose, nav + error, frame)
             moved = nav + error + other.change - means
             moved[POSE] = se3.local(after, se3.retract(pose, error[POSE]) @ other.prev_T_next)
             slopes.append(moved)
@@ -86,10 +86,10 @@ def test_jacobians_of_what_is_measured(kind, rng, frame):
 
 def test_covariance_of_a_smooth_step_is_that_of_gtsams_prior(rng, frame):
     motion, layout = built(SmoothMotion)
-    _, nav = state(layout, frame, rng)
+    pose, nav = state(layout, frame, rng)
     own = np.r_[POSE, layout["twist"]]
     sigma = np.concatenate([np.full(3, 0.01), np.full(3, 0.1), 0.3 * ACCELERATION])
-    found = motion.propagate(layout, nav, frame)
+    found = motion.propagate(layout, pose, nav, frame)
     start = np.zeros((layout.size, layout.size))
     start[own, own] = sigma**2
     ours = (found.transition @ start @ found.transition.T + found.noise)[np.ix_(own, own)]

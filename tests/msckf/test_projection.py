@@ -56,7 +56,7 @@ def window_of(poses, *, form="standard", shared=None):
     nav = np.zeros(layout.size)
     if shared is not None:
         nav[layout["camera_rotation"].start :] = shared
-    window = Window(layout, form, nav=nav, sigma=np.full(layout.size, 0.1))
+    window = Window(layout, form, nav=nav, cov=0.01 * np.eye(layout.size))
     for _ in range(len(poses) - 1):
         window.clone()
     window.poses, window.first = poses.copy(), poses.copy()

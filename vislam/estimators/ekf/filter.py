@@ -18,8 +18,9 @@ from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.options import EkfOptions
+from vislam.estimators.ekf.propagation import reported
 from vislam.estimators.ekf.reweighting import student_weights
-from vislam.estimators.ekf.state import JointState, states_of
+from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
 from vislam.models.kernel import kernel_name
@@ -49,20 +50,29 @@ class EkfEstimator:
         self._threshold = float(chi2_quantile(problem.gate_probability, 3)) if options.gate else np.inf
         self._motion = motion.make(problem)
         self._nearest = problem.rig.nearest
-        layout, nav, sigma = motion.navigation(problem, self._motion)
-        self._layout = layout
-        self._camera = Camera(problem.rig, parametrisation.make(options.landmarks, problem.rig), layout)
-        self.state = JointState(self._camera.parametrisation, options.error, layout, nav=nav, sigma=sigma)
+        start = motion.navigation(problem, self._motion)
+        self._layout = start.layout
+        self._camera = Camera(problem.rig, parametrisation.make(options.landmarks, problem.rig), start.layout)
+        self.state = JointState(
+            self._camera.parametrisation,
+            options.error,
+            start.layout,
+            nav=start.nav,
+            cov=start.cov,
+            world_T_imu=start.world_T_imu,
+        )
         self._recorder: Recorder | None = None
         if options.marginalised_landmarks == "smoothed":
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
-        self._meter = Unobservable(layout.size) if options.observability else None
+        self._meter = None
+        if options.observability:
+            self._meter = Unobservable(start.layout, start.world_T_imu, start.nav)
         self._last = None if problem.lags is None else LastPoses(problem.lags)
         self.information = {
             "noise of the tracks": "independent" if self._independent else "drift and match error as states",
             "kernel": kernel_name(problem.kernel),
-            "twist bias": "estimated",
-            **shared_information(problem, estimated=list(layout)),
+            **shared_information(problem, estimated=list(start.layout)),
+            **self._motion.information,
         }
         self._left: list[Landmarks] = []
         self._matches: list[Array] = []
@@ -131,7 +141,7 @@ class EkfEstimator:
         if frame.k == 0:
             state.nav = self._motion.first(self._layout, state.nav, frame)
         else:
-            state.predict(self._motion.propagate(self._layout, state.nav, frame))
+            state.predict(self._motion.propagate(self._layout, state.world_T_imu, state.nav, frame))
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         if self._track_noise.drift > 0.0:
@@ -152,7 +162,7 @@ class EkfEstimator:
         return Step(
             pose=state.world_T_imu,
             pose_cov=state.cov[POSE, POSE].copy(),
-            states=states_of(self._layout, state.nav, state.cov),
+            states=reported(self._motion, self._layout, state.nav, state.cov),
             nis=nis if gaussian else 0.0,
             dof=dof if gaussian else 0,
             log_likelihood=told + density if gaussian else float("nan"),

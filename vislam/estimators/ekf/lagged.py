@@ -91,9 +91,9 @@ class LastPoses:
             nav = len(step.transition)
             self._rows[:, :nav] = self._rows[:, :nav] @ step.transition.T
         elif isinstance(step, Reset):
-            if step.landmarks is not None:
-                nav = self._rows.shape[1] - len(step.landmarks)
-                self._rows[:, nav:] += self._rows[:, POSE] @ step.landmarks.T
+            if step.rest is not None:
+                nav = self._rows.shape[1] - len(step.rest)
+                self._rows[:, nav:] += self._rows[:, POSE] @ step.rest.T
             self._rows[:, POSE] = self._rows[:, POSE] @ step.pose.T
 
     def _told(self, update: Update) -> Array:

@@ -2,6 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
+from vislam.base.types import Array
+from vislam.geometry import so3
+from vislam.models.imu import VELOCITY
 from vislam.models.odometry import POSE
 
 LANDMARK = 4
@@ -38,6 +43,21 @@ class NavLayout:
     def __contains__(self, name: str) -> bool:
         """Whether a block is in use."""
         return name in self._blocks
+
+    @property
+    def moves(self) -> bool:
+        """Whether a motion of the world changes a block behind the pose: the velocity, where it is in use."""
+        return VELOCITY in self
+
+    def moved(self, nav: Array) -> Array:
+        """What a motion (omega, v) of the world does to the blocks behind the pose, ``(d - 6, 6)``.
+
+        A turn takes the velocity along, ``omega x velocity``, a move leaves it.
+        """
+        out = np.zeros((self.size, 6))
+        if VELOCITY in self:
+            out[self[VELOCITY], :3] = -so3.hat(nav[self[VELOCITY]])
+        return out[POSE.stop :]
 
     def __iter__(self) -> Iterator[str]:
         """Names of the blocks, in order."""

@@ -239,24 +239,24 @@ class Move(Step):
 
 @dataclass(frozen=True)
 class Reset(Step):
-    """New coordinates of the error: ``landmarks <- landmarks + B pose``, then ``pose <- A pose``.
+    """New coordinates of the error: ``rest <- rest + B pose``, then ``pose <- A pose``.
 
     Attributes
     ----------
     pose : (6, 6)
         A.
-    landmarks : (d - d_nav, 6) or None
-        B; None for zero.
+    rest : (k, 6) or None
+        B, of the last k components, all of them behind the pose; None for zero.
     """
 
     pose: Array
-    landmarks: Array | None
+    rest: Array | None
 
     def forward(self, cov: Array) -> None:
         """``M P M^T``."""
-        if self.landmarks is not None:
+        if self.rest is not None:
             # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
-            b = np.concatenate([np.zeros((len(cov) - len(self.landmarks), 6)), self.landmarks])
+            b = np.concatenate([np.zeros((len(cov) - len(self.rest), 6)), self.rest])
             half = cov[:, POSE] + 0.5 * b @ cov[POSE, POSE]
             cov += np.hstack([b, half]) @ np.hstack([half, b]).T
         cov[POSE] = self.pose @ cov[POSE]
@@ -268,11 +268,11 @@ class Reset(Step):
         information[POSE] = self.pose.T @ information[POSE]
         information[:, POSE] = information[:, POSE] @ self.pose
         vectors[POSE] = self.pose.T @ vectors[POSE]
-        if self.landmarks is not None:
-            nav = len(vectors) - len(self.landmarks)
-            information[POSE] += self.landmarks.T @ information[nav:]
-            information[:, POSE] += information[:, nav:] @ self.landmarks
-            vectors[POSE] += self.landmarks.T @ vectors[nav:]
+        if self.rest is not None:
+            nav = len(vectors) - len(self.rest)
+            information[POSE] += self.rest.T @ information[nav:]
+            information[:, POSE] += information[:, nav:] @ self.rest
+            vectors[POSE] += self.rest.T @ vectors[nav:]
         return after
 
 

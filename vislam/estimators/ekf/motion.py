@@ -1,13 +1,7 @@
-"""Models of motion as the filter takes them: blocks of the navigation state, a step, what is measured.
-
-The filter knows of its navigation state only the pose and the errors that the camera's observations depend
-on (:mod:`vislam.models.shared_errors`). Every other block belongs to the model of motion, which predicts it
-and may measure it.
-"""
+"""The recorded twist as the filter's model of motion, and which model a problem asks for."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -20,81 +14,15 @@ from vislam.core.estimator import (
     VerticalVelocityNoise,
 )
 from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS
+from vislam.estimators.ekf.inertial import InertialMotion
 from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.propagation import Block, Measurement, Motion, Propagation
 from vislam.geometry import se3, so3
 from vislam.models import odometry, shared_errors
+from vislam.models.imu import STATES
 from vislam.models.odometry import POSE
 from vislam.models.shared_errors import CLOCK, VELOCITY_DIRECTION, SharedPrior
-
-
-@dataclass(frozen=True)
-class Block:
-    """Prior of a block of the navigation state; ``sigma (m,)`` are its standard deviations."""
-
-    mean: Array
-    sigma: Array
-
-
-@dataclass(frozen=True)
-class Propagation:
-    """What a step makes of the navigation state.
-
-    Attributes
-    ----------
-    prev_T_next : (4, 4)
-        The motion of the pose.
-    change : (d,)
-        What is added to the other blocks; of the pose it is not used.
-    transition, noise : (d, d)
-        F and Q of the error.
-    """
-
-    prev_T_next: Array
-    change: Array
-    transition: Array
-    noise: Array
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """A measurement of the navigation state alone.
-
-    Attributes
-    ----------
-    innovation : (m,)
-    by_nav : (m, d)
-    variance : (m,)
-    """
-
-    innovation: Array
-    by_nav: Array
-    variance: Array
-
-
-class Motion(Protocol):
-    """A model of motion."""
-
-    def blocks(self) -> Mapping[str, Block]:
-        """Blocks that it needs behind the pose, with their priors."""
-        ...
-
-    def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
-        """Mean ``(d,)`` of the navigation state at the first frame, from that of the priors."""
-        ...
-
-    def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
-        """Step to a frame from the navigation state ``nav (d,)`` at the one before."""
-        ...
-
-    def measurements(
-        self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
-    ) -> Sequence[Measurement]:
-        """What is measured at a frame besides the tracks."""
-        ...
-
-    def up(self, layout: NavLayout, nav: Array) -> Array | None:
-        """Direction ``(3,)`` of up in the world, if it is known better than by the z axis."""
-        ...
 
 
 class Height:
@@ -149,6 +77,9 @@ class OdometryMotion:
     not zero; those of :class:`Height`.
     """
 
+    states: tuple[str, ...] = (TWIST_BIAS,)
+    information: Mapping[str, str] = {"twist bias": "estimated"}
+
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._shared = problem.shared()
@@ -168,8 +99,9 @@ class OdometryMotion:
         del layout, frame
         return nav
 
-    def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
+    def propagate(self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame) -> Propagation:
         """Integrate the twist less its bias, and the vertical velocity."""
+        del world_T_imu
         dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
         late = float(nav[layout[CLOCK]][0]) / dt if CLOCK in layout else 0.0
@@ -240,8 +172,9 @@ class SmoothMotion(OdometryMotion):
         nav[layout["twist"]] = frame.odometry.twist - nav[layout["twist_bias"]]
         return nav
 
-    def propagate(self, layout: NavLayout, nav: Array, frame: Frame) -> Propagation:
+    def propagate(self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame) -> Propagation:
         """Go on with the body's own twist; the bias walks, the vertical velocity is integrated."""
+        del world_T_imu
         dt, change = frame.dt, np.zeros(layout.size)
         twist, step, bias = layout["twist"], layout["step"], layout["twist_bias"]
         xi = dt * nav[twist]
@@ -289,19 +222,44 @@ class SmoothMotion(OdometryMotion):
 
 def make(problem: Problem) -> Motion:
     """Model of motion that a problem asks for."""
+    if problem.imu is not None:
+        return InertialMotion(problem)
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
 
 
-def navigation(problem: Problem, motion: Motion) -> tuple[NavLayout, Array, Array]:
-    """Layout of the navigation state, its first mean and its standard deviations."""
+@dataclass(frozen=True)
+class Navigation:
+    """The navigation state before the first frame.
+
+    Attributes
+    ----------
+    layout : NavLayout
+    world_T_imu : (4, 4)
+    nav : (d,)
+        Mean, but for the pose.
+    cov : (d, d)
+    """
+
+    layout: NavLayout
+    world_T_imu: Array
+    nav: Array
+    cov: Array
+
+
+def navigation(problem: Problem, motion: Motion) -> Navigation:
+    """Navigation state before the first frame, of the priors."""
     blocks, shared = dict(motion.blocks()), problem.shared()
     blocks |= {name: _shared_block(name, shared[name]) for name in shared_errors.OF_CAMERA if name in shared}
     layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
-    nav, sigma = np.zeros(layout.size), np.zeros(layout.size)
-    sigma[POSE] = problem.first_pose_sigma
+    nav, cov = np.zeros(layout.size), np.zeros((layout.size, layout.size))
+    cov[POSE, POSE] = problem.first_pose_cov
     for name, block in blocks.items():
-        nav[layout[name]], sigma[layout[name]] = block.mean, block.sigma
-    return layout, nav, sigma
+        nav[layout[name]] = block.mean
+        cov[layout[name], layout[name]] = np.diag(block.sigma**2)
+    if problem.imu is not None:
+        rows = np.r_[POSE, *(layout[name] for name in STATES)]
+        cov[np.ix_(rows, rows)] = problem.imu.prior.cov
+    return Navigation(layout, problem.first_pose, nav, cov)
 
 
 def _shared_block(name: str, prior: SharedPrior) -> Block:

@@ -7,13 +7,11 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.step import TWIST_BIAS, State
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
-from vislam.estimators.ekf.motion import Propagation
 from vislam.estimators.ekf.parametrisation import Parametrisation
+from vislam.estimators.ekf.propagation import Propagation
 from vislam.geometry import se3
-from vislam.models import shared_errors
 from vislam.models.odometry import POSE
 
 ErrorForm = Literal["standard", "fej", "invariant"]
@@ -56,21 +54,6 @@ class PoseRows(Step):
     rows: Array
 
 
-def states_of(layout: NavLayout, nav: Array, cov: Array) -> dict[str, State]:
-    """What is reported of the navigation state: the twist bias, and the errors that all tracks share.
-
-    Parameters
-    ----------
-    layout : NavLayout
-    nav : (d_nav,)
-    cov : (d, d)
-        Covariance of the whole state, the navigation state first.
-    """
-    names = [name for name in (TWIST_BIAS, *shared_errors.SIZES) if name in layout]
-    variance = np.diagonal(cov)
-    return {name: State(nav[layout[name]].copy(), np.sqrt(variance[layout[name]])) for name in names}
-
-
 class JointState:
     """Pose, navigation parameters and landmarks with their joint covariance.
 
@@ -78,13 +61,16 @@ class JointState:
     else additive. What a correction makes of these coordinates is the difference between the error forms:
 
     * ``standard``: nothing, as in every textbook EKF.
-    * ``fej``: the pose error keeps its meaning in the world, and Jacobians are taken at
-      ``first``. Huang, Mourikis, Roumeliotis, *A first-estimates Jacobian EKF for improving SLAM
+    * ``fej``: the error of pose and velocity keeps its meaning in the world, and Jacobians are
+      taken at ``first``. Huang, Mourikis, Roumeliotis, *A first-estimates Jacobian EKF for improving SLAM
       consistency* (ISER 2008).
     * ``invariant``: errors keep their meaning as a rigid motion of pose and landmarks together, and what each
       landmark is off beside it; so what cannot be observed (where the world is) stays one and the same
       subspace. Barrau and Bonnabel, *An EKF-SLAM algorithm with consistency properties* (2015), in the
-      coordinates of any parametrisation. Of a landmark that has left this changes nothing.
+      coordinates of any parametrisation. Of a landmark that has left this changes nothing. A velocity in the
+      state moves along: the group is then that of pose, velocity and points, SE_{2+n}(3) (Barrau and
+      Bonnabel, *The invariant extended Kalman filter as a stable observer*, IEEE TAC 62 (2017)), the biases
+      beside it.
 
     Attributes
     ----------
@@ -112,28 +98,27 @@ class JointState:
         layout: NavLayout,
         *,
         nav: Array,
-        sigma: Array,
+        cov: Array,
+        world_T_imu: Array | None = None,
     ) -> None:
         self.parametrisation = parametrisation
         self.layout = layout
         self.form = form
-        self.world_T_imu = np.eye(4)
+        self.world_T_imu: Array = np.eye(4) if world_T_imu is None else world_T_imu
         self.nav = nav.copy()
         self.track: IntArray = np.empty(0, np.int64)
         self.anchors: Array = np.empty((0, 4, 4))
         self.landmarks: Array = np.empty((0, LANDMARK))
         self.first: Array = np.empty((0, LANDMARK))
         self.seen_at: IntArray = np.empty(0, np.int64)
-        self.cov: Array = np.diag(sigma**2)
+        self.cov = cov
         self.steps: list[Step] | None = None
 
     def copy(self) -> "JointState":
         """Return a state that shares no memory which either would write to, and that notes no steps."""
-        other = JointState(
-            self.parametrisation, self.form, self.layout, nav=self.nav, sigma=np.zeros(len(self.nav))
-        )
+        other = JointState(self.parametrisation, self.form, self.layout, nav=self.nav, cov=self.cov.copy())
         other.world_T_imu, other.track, other.anchors = self.world_T_imu, self.track, self.anchors
-        other.landmarks, other.first, other.cov = self.landmarks, self.first, self.cov.copy()
+        other.landmarks, other.first = self.landmarks, self.first
         other.seen_at = self.seen_at
         return other
 
@@ -251,7 +236,7 @@ class JointState:
 
     def _retract(self, error: Array) -> Reset | None:
         """Correct the mean; return what becomes of the coordinates of the error."""
-        before = self.world_T_imu
+        before, nav_before = self.world_T_imu, self.nav
         landmarks, nav = self.landmarks, self.layout.size
         self.nav = self.nav + error[:nav]
         self.world_T_imu = se3.retract(before, error[POSE])
@@ -259,15 +244,20 @@ class JointState:
         if self.form == "standard":
             return None
         kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
+        behind = np.empty((0, 6))
+        if self.layout.moves:
+            behind = self.layout.moved(self.nav) - self.layout.moved(nav_before)
+            behind = behind @ se3.adjoint(before)
         if self.form == "fej":
-            return Reset(kept, None)
+            rest = np.zeros((len(self.cov) - nav, 6))
+            return Reset(kept, np.concatenate([behind, rest]) if self.layout.moves else None)
         # What a motion of the world does to the coordinates, after the correction less before it.
         moved = self.parametrisation.moved(self.landmarks[:, :3]) - self.parametrisation.moved(
             landmarks[:, :3]
         )
         change = np.zeros((len(landmarks), LANDMARK, 6))
         change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
-        return Reset(kept, change.reshape(-1, 6))
+        return Reset(kept, np.concatenate([behind, change.reshape(-1, 6)]))
 
     def _note(self, step: Step) -> None:
         if self.steps is not None:

@@ -14,7 +14,8 @@ from vislam.core.step import Final, Step
 from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.ekf import motion, parametrisation
 from vislam.estimators.ekf.measurement import Camera
-from vislam.estimators.ekf.state import states_of
+from vislam.estimators.ekf.observability import free_motions
+from vislam.estimators.ekf.propagation import reported
 from vislam.estimators.msckf.options import MsckfOptions
 from vislam.estimators.msckf.pending import Packed, Pending
 from vislam.estimators.msckf.projection import POINT, Constraints, eliminate, linearise
@@ -44,9 +45,12 @@ class MsckfEstimator:
         self._problem = problem
         self._options = options
         self._motion = motion.make(problem)
-        layout, nav, sigma = motion.navigation(problem, self._motion)
-        self._camera = Camera(problem.rig, parametrisation.make("point", problem.rig), layout)
-        self.window = Window(layout, options.error, nav=nav, sigma=sigma)
+        start = motion.navigation(problem, self._motion)
+        self._camera = Camera(problem.rig, parametrisation.make("point", problem.rig), start.layout)
+        self.window = Window(
+            start.layout, options.error, nav=start.nav, cov=start.cov, world_T_imu=start.world_T_imu
+        )
+        self._free = free_motions(start.layout)
         self._longest = options.window + 1 if options.max_length is None else options.max_length
         self._gates = options.gate and problem.gate_probability < 1.0
         self._pending = Pending()
@@ -61,8 +65,8 @@ class MsckfEstimator:
         self.information = {
             "noise of the tracks": "independent",
             "kernel": kernel_name(problem.kernel),
-            "twist bias": "estimated",
-            **shared_information(problem, estimated=list(layout)),
+            **shared_information(problem, estimated=list(start.layout)),
+            **self._motion.information,
         }
         if any(prior.walk > 0.0 for name, prior in problem.shared().items() if name in OF_CAMERA):
             self.information["walk of shared errors"] = "neglected between the frames of a track"
@@ -84,12 +88,12 @@ class MsckfEstimator:
         return Step(
             pose=self.window.poses[-1].copy(),
             pose_cov=self.window.pose_cov(-1),
-            states=states_of(self.window.layout, self.window.nav, self.window.cov),
+            states=reported(self._motion, self.window.layout, self.window.nav, self.window.cov),
             nis=fused.nis,
             dof=fused.dof,
             used=_of_the_frame(fused.tracks, frame),
             gated=_of_the_frame(fused.gated, frame),
-            world_gained=gained + fused.world_gained,
+            world_gained=(gained + fused.world_gained) * self._free,
         )
 
     def finalize(self) -> Final:
@@ -119,7 +123,8 @@ class MsckfEstimator:
         if clones > self._options.window:
             self._past.append((window.poses[0].copy(), window.pose_cov(0)))
             window.keep(np.arange(clones) > 0)
-        window.predict(self._motion.propagate(window.layout, window.nav, frame), frame.k)
+        step = self._motion.propagate(window.layout, window.poses[-1], window.nav, frame)
+        window.predict(step, frame.k)
 
     def _measure(self, frame: Frame) -> Array:
         """Fuse what the model of motion measures; returns what it gained on motions of the world ``(6,)``."""

@@ -6,7 +6,8 @@ from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Keep, Move, Update
-from vislam.estimators.ekf.motion import Propagation
+from vislam.estimators.ekf.observability import unit_motions
+from vislam.estimators.ekf.propagation import Propagation
 from vislam.estimators.msckf.options import ErrorForm
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
@@ -40,16 +41,26 @@ class Window:
         coordinates of the state. No observation tells of them.
     """
 
-    def __init__(self, layout: NavLayout, form: ErrorForm, *, nav: Array, sigma: Array) -> None:
+    def __init__(
+        self,
+        layout: NavLayout,
+        form: ErrorForm,
+        *,
+        nav: Array,
+        cov: Array,
+        world_T_imu: Array | None = None,
+    ) -> None:
+        pose = np.eye(4) if world_T_imu is None else world_T_imu
         self.layout = layout
         self.form = form
         self.nav = nav.copy()
         self.frames: IntArray = np.zeros(1, np.int64)
-        self.poses: Array = np.eye(4)[None]
-        self.first: Array = np.eye(4)[None]
-        self.cov: Array = np.diag(sigma**2)
-        self.directions: Array = np.zeros((layout.size, _SIZE))
-        self.directions[POSE] = np.eye(_SIZE)
+        self.poses: Array = pose[None].copy()
+        self.first: Array = pose[None].copy()
+        self.cov = cov
+        self.directions = unit_motions(layout, pose, nav)
+        # The navigation state as predicted last, before any observation.
+        self._first_nav = self.nav
 
     @property
     def columns(self) -> IntArray:
@@ -78,13 +89,12 @@ class Window:
 
     def predict(self, step: Propagation, frame: int) -> None:
         """Take the current pose, a clone of which is behind it, to another frame by the model of motion."""
-        pose = self.poses[-1] @ step.prev_T_next
+        before, pose = self.poses[-1].copy(), self.poses[-1] @ step.prev_T_next
         transition = step.transition
         if self.form == "fej":
             # From the first estimate of one pose to that of the next: a motion of the world stays one.
-            transition = transition.copy()
-            transition[POSE, POSE] = se3.adjoint(se3.inverse(pose) @ self.first[-1])
-        self.nav = self.nav + step.change
+            transition = transition @ self._from_first(before)
+        self.nav = self._first_nav = self.nav + step.change
         self.poses[-1] = self.first[-1] = pose
         self.frames[-1] = frame
         Move(transition).forward(self.cov, step.noise)
@@ -124,13 +134,28 @@ class Window:
         stays = np.append(mask, True)
         self.poses, self.first, self.frames = self.poses[stays], self.first[stays], self.frames[stays]
 
+    def _from_first(self, now: Array) -> Array:
+        """Errors ``(d_nav, d_nav)`` at the current estimates from those at the first, alike in the world."""
+        first, moved = self.first[-1], self.layout.moved
+        out = np.eye(self.layout.size)
+        out[POSE, POSE] = se3.adjoint(se3.inverse(now) @ first)
+        out[POSE.stop :, POSE] = (moved(self.nav) - moved(self._first_nav)) @ se3.adjoint(first)
+        return out
+
     def _retract(self, error: Array) -> None:
         """Correct the mean; in the invariant form, the coordinates of the error keep their meaning."""
-        before, each = self.poses, self.columns[:, None] + np.arange(_SIZE)
+        before, nav_before = self.poses, self.nav
+        each = self.columns[:, None] + np.arange(_SIZE)
         self.nav = self.nav + error[: self.layout.size]
         self.poses = se3.retract(before, error[each])
         if self.form != "invariant":
             return
+        if self.layout.moves:
+            behind = self.layout.moved(self.nav) - self.layout.moved(nav_before)
+            behind, rows = behind @ se3.adjoint(before[-1]), slice(POSE.stop, self.layout.size)
+            self.cov[rows] += behind @ self.cov[POSE]
+            self.cov[:, rows] += self.cov[:, POSE] @ behind.T
+            self.directions[rows] += behind @ self.directions[POSE]
         kept = se3.adjoint(se3.inverse(self.poses) @ before)
         self.cov[each] = kept @ self.cov[each]
         self.cov[:, each] = np.einsum("dmj,mij->dmi", self.cov[:, each], kept)

@@ -1,0 +1,127 @@
+"""Raw inertia as the filter's model of motion: velocity and biases in the state, preintegrated steps.
+
+With the pose error ``(theta, rho)`` on its right, all else additive and the velocity in the world, an error
+before a step of length t and relative motion ``(R, p, v)`` is behind it, by differentiating
+:meth:`vislam.models.preintegration.Preintegrated.predict`,
+
+    theta' = R^T theta + theta_b db + n_theta,
+    rho'   = R^T (rho - hat(p) theta + R_i^T dv t + p_b db + n_p),
+    dv'    = dv - R_i hat(v) theta + R_i (v_b db + n_v),
+
+where ``theta_b, p_b, v_b`` are the derivatives by the biases. What the biases change by within the step is
+correlated with the motion, and both enter with their joint covariance. Gravity is in none of this: it acts
+through the attitude, which roll and pitch of the first pose begin.
+
+A turn about the vertical and a move of the whole world, velocity included, go through these equations as what
+they are, whatever the estimate is: they are the four directions that nothing observes.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from vislam.base.types import Array
+from vislam.core.estimator import UNKNOWN_INERTIA, Inertia, Problem
+from vislam.core.frame import Frame
+from vislam.core.imu import ImuStep
+from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
+from vislam.geometry import se3, so3
+from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, STATES, VELOCITY
+from vislam.models.odometry import POSE
+from vislam.models.preintegration import BIASES, MOTION, Preintegrated, preintegrate
+
+_UNKNOWN = np.square(UNKNOWN_INERTIA)
+
+
+class InertialMotion:
+    """Accelerometer and gyro. Blocks: ``velocity``, ``gyro_bias``, ``accel_bias`` (3 each)."""
+
+    states = STATES
+    information: Mapping[str, str] = {
+        "motion": "raw inertia",
+        "biases of gyro and accelerometer": "estimated",
+    }
+
+    def __init__(self, problem: Problem) -> None:
+        assert problem.imu is not None
+        self._inertia: Inertia = problem.imu
+        self._gravity = self._inertia.noise.gravity_world
+
+    def blocks(self) -> Mapping[str, Block]:
+        """Blocks in use; their covariance is that of the whole prior."""
+        prior = self._inertia.prior
+        sigma = np.sqrt(np.diagonal(prior.cov))
+        return {
+            VELOCITY: Block(prior.velocity, sigma[6:9]),
+            GYRO_BIAS: Block(prior.gyro_bias, sigma[9:12]),
+            ACCEL_BIAS: Block(prior.accel_bias, sigma[12:]),
+        }
+
+    def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
+        """Return the priors' mean: nothing more is known."""
+        del layout, frame
+        return nav
+
+    def propagate(self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame) -> Propagation:
+        """Preintegrate the samples less the biases, and let gravity act."""
+        assert frame.imu is not None
+        step = self._preintegrated(layout, nav, frame.imu)
+        velocity = nav[layout[VELOCITY]]
+        pose, faster = step.predict(world_T_imu, velocity, self._gravity)
+        change = np.zeros(layout.size)
+        change[layout[VELOCITY]] = faster - velocity
+        transition, noise = _linear(layout, world_T_imu[:3, :3], step)
+        # The turn as it is: R^T R times it would take what R is off a rotation along, threefold at each step.
+        moved = (pose[:3, 3] - world_T_imu[:3, 3]) @ world_T_imu[:3, :3]
+        prev_T_next = se3.from_rotation_translation(step.rotation, moved)
+        return Propagation(prev_T_next, change, transition, noise)
+
+    def measurements(
+        self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
+    ) -> Sequence[Measurement]:
+        """Nothing is measured but the motion."""
+        del layout, world_T_imu, nav, frame
+        return []
+
+    def up(self, layout: NavLayout, nav: Array) -> Array | None:
+        """The z axis is up."""
+        del layout, nav
+        return None
+
+    def _preintegrated(self, layout: NavLayout, nav: Array, step: ImuStep) -> Preintegrated:
+        return preintegrate(
+            step.dt,
+            step.mean_gyro,
+            step.mean_accel,
+            gyro_bias=nav[layout[GYRO_BIAS]],
+            accel_bias=nav[layout[ACCEL_BIAS]],
+            noise=self._inertia.noise,
+            unknown=None if step.known.all() else np.where(step.known[:, None], 0.0, _UNKNOWN),
+        )
+
+
+def _linear(layout: NavLayout, turn: Array, step: Preintegrated) -> tuple[Array, Array]:
+    """F and Q ``(d, d)`` of a step from the attitude ``turn (3, 3)``."""
+    velocity, gyro, accel = (layout[name] for name in STATES)
+    biases = np.r_[gyro, accel]
+    back = step.rotation.T
+    # From (theta, p, v) of the step, the latter two in the first body, to the errors of pose and velocity.
+    to_error = np.zeros((9, 9))
+    to_error[:3, :3] = np.eye(3)
+    to_error[3:6, 3:6] = back
+    to_error[6:, 6:] = turn
+    motion = np.r_[POSE, velocity]
+    transition = np.eye(layout.size)
+    transition[:3, :3] = back
+    transition[3:6, :3] = -back @ so3.hat(step.position)
+    transition[3:6, 3:6] = back
+    transition[3:6, velocity] = step.time * back @ turn.T
+    transition[velocity, :3] = -turn @ so3.hat(step.velocity)
+    transition[np.ix_(motion, biases)] = to_error @ step.by_bias
+    noise = np.zeros((layout.size, layout.size))
+    mixed = to_error @ step.cov[MOTION, BIASES]
+    noise[np.ix_(motion, motion)] = to_error @ step.cov[MOTION, MOTION] @ to_error.T
+    noise[np.ix_(motion, biases)], noise[np.ix_(biases, motion)] = mixed, mixed.T
+    noise[np.ix_(biases, biases)] = step.cov[BIASES, BIASES]
+    return transition, noise
