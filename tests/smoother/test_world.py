@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -12,7 +11,6 @@ from vislam.comparison.config import VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.ekf import family
 from vislam.estimators.loop import run
-from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.world import ReportedWorld
 from vislam.geometry import se3
 
@@ -63,25 +61,6 @@ def test_their_covariances_are_of_the_same_errors(smoothed, filtered):
         assert np.abs(sigma[0] / sigma[1] - 1.0).max() < 0.15, estimate
     # The tilt of the graph's world, of 0.05 rad, would be in each of them.
     assert sigma[0][:, :2].max() < 0.1 * TILT
-
-
-def test_the_covariance_between_errors_is_that_of_the_inverse(climbing, monkeypatch):
-    found = {}
-
-    def kept(self, values, keys, first):
-        found.update(graph=self.graph(), values=values, keys=keys, cross=cross(self, values, keys, first))
-        return found["cross"]
-
-    from vislam.estimators.smoother.batch import Drive
-
-    cross = Drive.cross_covariances
-    monkeypatch.setattr(Drive, "cross_covariances", kept)
-    member("batch", *climbing, marginals="all")
-    marginals = gtsam.Marginals(found["graph"], found["values"])
-    for index in (1, 17, FRAMES - 1, FRAMES, len(found["keys"]) - 1):
-        key = found["keys"][index]
-        expected = marginals.jointMarginalCovariance([X(0), key]).at(key, X(0))
-        assert np.allclose(found["cross"][index], expected, rtol=1e-5, atol=1e-12)
 
 
 def test_covariances_are_those_of_drawn_errors(climbing, rng):

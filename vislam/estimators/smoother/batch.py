@@ -13,7 +13,9 @@ from vislam.estimators.smoother.descent import Budget, Descent, descend
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.motion import Motion
+from vislam.estimators.smoother.observations import Linearised, Observations
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
 
@@ -78,6 +80,7 @@ class Drive:
     tracks: list[Track]
     _without_tracks: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
     _whole: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
+    _observations: Observations | None = field(default=None, init=False)
 
     def without_tracks(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the stereo ones; a graph that may be added to."""
@@ -149,46 +152,81 @@ class Drive:
             first += len(track.views)
             track.views = [view for view, fine in zip(track.views, kept, strict=True) if fine]
         self.tracks = [track for track in self.tracks if track.views]
-        self._whole = None
+        self._whole = self._observations = None
         return only(values, self.graph()), int(count - good.sum())
 
     def fit(self, values: gtsam.Values) -> tuple[float, int]:
         """Sum of the squared residuals, each by its noise, and how many more there are than unknowns."""
-        graph = self.graph()
-        rows = sum(graph.at(index).dim() for index in range(graph.size()))
-        return 2.0 * graph.error(values), rows - values.dim()
+        others, found = self.without_tracks(), self._linearised(values)
+        rows = sum(others.at(index).dim() for index in range(others.size())) + found.residual.size
+        return 2.0 * others.error(values) + float(np.sum(found.residual**2)), rows - values.dim()
 
-    def covariances(self, values: gtsam.Values, keys: Sequence[int]) -> list[Array]:
+    def marginals(self, values: gtsam.Values) -> Marginals:
         """Marginal covariances: of a pose on its right, of a point in the world's axes."""
-        graph = self.graph()
         try:
-            solver = gtsam.Marginals(graph, values)
-            return [solver.marginalCovariance(key) for key in keys]
-        except RuntimeError:
-            # It knows Cholesky only, which may refuse; a tree by QR does not.
-            parameters = gtsam.ISAM2Params()
-            parameters.setFactorization("QR")
-            tree = gtsam.ISAM2(parameters)
-            tree.update(graph, values)
-            return [tree.marginalCovariance(key) for key in keys]
+            return self.system(values).marginals()
+        except np.linalg.LinAlgError:
+            # Cholesky has refused; a tree by QR does not.
+            return self._marginals_by_qr(values)
 
-    def cross_covariances(self, values: gtsam.Values, keys: Sequence[int], first: int) -> list[Array]:
-        """Covariances ``(d, 6)`` of the errors of variables with those of one pose, ``first``.
+    def system(self, values: gtsam.Values) -> DriveSystem:
+        """Normal equations at an estimate, factorised.
 
-        With the information ``R^T R`` of all errors they are the columns ``R^-1 R^-T e`` of its inverse: one
-        elimination, and a substitution forth and back for each component of the pose.
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If they are not positive definite.
         """
-        linear = self.graph().linearize(values)
-        net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
-        nothing = values.zeroVectors()
-        columns = []
-        for unit in np.eye(6):
-            right, only_first = gtsam.VectorValues(nothing), gtsam.VectorValues()
-            only_first.insert(first, unit)
-            right.update(only_first)
-            solved = net.backSubstitute(net.backSubstituteTranspose(right))
-            columns.append([solved.at(key) for key in keys])
-        return [np.column_stack(of_key) for of_key in zip(*columns, strict=True)]
+        others = Others.of(self.without_tracks(), values)
+        frames, tracks = len(self.frames), len(self.tracks)
+        return DriveSystem(others, self._seen, self._linearised(values), frames=frames, landmarks=tracks)
+
+    @property
+    def _seen(self) -> Observations:
+        """Observations of the tracks as they are now."""
+        if self._observations is None:
+            self._observations = Observations.of(self.tracks)
+        return self._observations
+
+    def _linearised(self, values: gtsam.Values) -> Linearised:
+        points = np.array([values.atPoint3(track.key) for track in self.tracks]).reshape(-1, 3)
+        return self._seen.linearise(self.rig, self.poses(values), points, kernel=self.stereo.kernel)
+
+    def _marginals_by_qr(self, values: gtsam.Values) -> Marginals:
+        graph = self.graph()
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        tree = gtsam.ISAM2(parameters)
+        tree.update(graph, values)
+        poses, points = [X(k) for k in range(len(self.frames))], [track.key for track in self.tracks]
+        own = [tree.marginalCovariance(key) for key in [*poses, *points]]
+        mixed = _with_first(graph, values, [*poses, *points])
+        count = len(poses)
+        return Marginals(
+            poses=np.array(own[:count]),
+            points=np.array(own[count:]).reshape(-1, 3, 3),
+            poses_first=np.array(mixed[:count]),
+            points_first=np.array(mixed[count:]).reshape(-1, 3, 6),
+        )
+
+
+def _with_first(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Sequence[int]) -> list[Array]:
+    """Covariances ``(d, 6)`` of the errors of variables with those of the first pose.
+
+    With the information ``R^T R`` of all errors they are the columns ``R^-1 R^-T e`` of its inverse: one
+    elimination, and a substitution forth and back for each component of the pose.
+    """
+    linear = graph.linearize(values)
+    net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
+    nothing = values.zeroVectors()
+    columns = []
+    for unit in np.eye(6):
+        right, only_first = gtsam.VectorValues(nothing), gtsam.VectorValues()
+        only_first.insert(X(0), unit)
+        right.update(only_first)
+        solved = net.backSubstitute(net.backSubstituteTranspose(right))
+        columns.append([solved.at(key) for key in keys])
+    return [np.column_stack(of_key) for of_key in zip(*columns, strict=True)]
 
 
 def minimise(

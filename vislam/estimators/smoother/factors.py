@@ -26,11 +26,16 @@ class StereoFactors:
     kernel : Kernel or None
         Student's density of the pixel errors, as GTSAM's Cauchy kernel, which is the same function; smart
         factors have none.
+
+    Attributes
+    ----------
+    kernel : Kernel or None
     """
 
     def __init__(self, rig: StereoRig, *, kernel: Kernel | None = None) -> None:
         self._calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
         self._body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
+        self.kernel = kernel
         self._kernel, self._narrower = None, 1.0
         if kernel is not None:
             threshold, self._narrower = kernel.cauchy

@@ -169,17 +169,13 @@ class SmootherEstimator:
         self, drive: Drive, values: gtsam.Values, poses: Array, points: Array
     ) -> tuple[Array, Array | None]:
         """Covariances of all poses and, if asked for, landmarks, in the world that is reported."""
-        keys = [X(k) for k in range(len(poses))]
-        landmarks = [track.key for track in drive.tracks] if self._options.marginals == "all" else []
-        found, t = drive.covariances(values, [*keys, *landmarks]), len(keys)
-        pose_cov, points_cov = np.array(found[:t]), np.array(found[t:]).reshape(-1, 3, 3)
+        found, landmarks = drive.marginals(values), self._options.marginals == "all"
+        pose_cov, points_cov = found.poses, found.points
         if self._world.tilted:
-            mixed = drive.cross_covariances(values, [*keys, *landmarks], X(0))
-            first_cov = pose_cov[0]
-            pose_cov = self._world.pose_covariances(poses, pose_cov, np.array(mixed[:t]), first_cov)
+            first, first_cov = values.atPose3(X(0)).matrix(), found.poses[0]
+            pose_cov = self._world.pose_covariances(poses, pose_cov, found.poses_first, first_cov)
             if landmarks:
-                cross = np.array(mixed[t:])
-                first = values.atPose3(X(0)).matrix()
+                cross = found.points_first
                 points_cov = self._world.point_covariances(points, points_cov, cross, first_cov, first)
         return pose_cov, points_cov if landmarks else None
 

@@ -1,0 +1,156 @@
+"""Cholesky factorisation of a long, narrow information matrix, one dense front after the other.
+
+The frontal method (Irons, *A frontal solution program for finite element analysis*, IJNME 2, 1970; Duff,
+Erisman and Reid, *Direct Methods for Sparse Matrices*, chapter 10) with columns in the order of time: what is
+dense is the front, the columns from the elimination of their first neighbour to their own. All work is then
+BLAS on a few hundred columns, and the elimination tree is a path.
+
+The entries of the inverse within each front come from the last front back to the first (Takahashi, Fagan and
+Chin, PICA 1973; for cliques Kaess and Dellaert, *Covariance recovery from a square root information matrix
+for data association*, RAS 57, 2009). With the columns e that are eliminated in a front, those s that stay,
+the factor ``L`` of the information of the former and ``Y = L^-1 H_es``:
+
+    Sigma_es = -L^-T Y Sigma_ss,    Sigma_ee = L^-T (L^-1 - Y Sigma_se)
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import lapack, solve_triangular
+
+from vislam.base.types import Array, IntArray
+
+Complement = Callable[[int], tuple[IntArray, Array, Array]]
+"""What a front is to be less by, for what was eliminated before: columns ``(u,)``, ``G (u, g)`` of ``G G^T``
+and ``g (g,)`` of the right-hand side's ``G g``."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """A front and, once it is eliminated, what is left of it.
+
+    Attributes
+    ----------
+    columns : (a,)
+        Those that are eliminated stand behind those that stay.
+    stay : int
+        How many stay.
+    lower, across, right
+        ``L (e, e)``, ``Y (e, s)`` and ``L^-1 b (e,)``.
+    """
+
+    columns: IntArray
+    stay: int
+    lower: Array
+    across: Array
+    right: Array
+
+
+class Factorisation:
+    """Square root of an information matrix, front by front.
+
+    Parameters
+    ----------
+    information : sparse array (n, n)
+        In compressed columns, which are in the order of their elimination.
+    right : (n,)
+        Right-hand side of the normal equations.
+    begin : (n,)
+        First front of each column.
+    ends : (fronts + 1,)
+        Front i eliminates the columns from ``ends[i]`` to ``ends[i + 1]``.
+    complement : callable
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the information is not positive definite.
+    """
+
+    def __init__(
+        self,
+        information: sparse.csc_array,
+        right: Array,
+        *,
+        begin: IntArray,
+        ends: IntArray,
+        complement: Complement,
+    ) -> None:
+        self._information, self._right, self._ends = information, right, ends
+        # Place of each column in the front at hand.
+        self._place = np.zeros(len(right), np.int64)
+        self._fronts: list[Front] = []
+        by_begin = np.argsort(begin, kind="stable")
+        begins = np.searchsorted(begin[by_begin], np.arange(len(ends)))
+        stayed, left, left_right = np.empty(0, np.int64), np.zeros((0, 0)), np.zeros(0)
+        for number in range(len(ends) - 1):
+            active = np.concatenate([stayed, by_begin[begins[number] : begins[number + 1]]])
+            stays = active >= ends[number + 1]
+            columns = np.concatenate([active[stays], np.arange(ends[number], ends[number + 1])])
+            at = self._placed(columns)[stayed]
+            matrix, vector = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+            matrix[np.ix_(at, at)], vector[at] = left, left_right
+            self._assemble(number, matrix, vector)
+            tied, tall, known = complement(number)
+            at = self._place[tied]
+            matrix[np.ix_(at, at)] -= tall @ tall.T
+            vector[at] -= tall @ known
+            front = _eliminated(columns, int(np.count_nonzero(stays)), matrix, vector)
+            self._fronts.append(front)
+            stayed = columns[: front.stay]
+            left = matrix[: front.stay, : front.stay] - front.across.T @ front.across
+            left_right = vector[: front.stay] - front.across.T @ front.right
+
+    def solve(self) -> Array:
+        """Solution ``(n,)`` of the normal equations."""
+        solution = np.zeros(len(self._place))
+        for front in reversed(self._fronts):
+            rest = front.right - front.across @ solution[front.columns[: front.stay]]
+            back = solve_triangular(front.lower, rest, lower=True, trans="T", check_finite=False)
+            solution[front.columns[front.stay :]] = back
+        return solution
+
+    def covariances(self) -> Iterator[tuple[int, IntArray, Array]]:
+        """Number of each front, place of its columns and covariance ``(a, a)``, from the last to the first.
+
+        The array of places ``(n,)`` is the same one each time, and holds for the columns of the front only.
+        """
+        sigma = np.zeros((0, 0))
+        for number in range(len(self._fronts) - 1, -1, -1):
+            front = self._fronts[number]
+            at = self._place[front.columns[: front.stay]]
+            known = sigma[np.ix_(at, at)]
+            inverse, _ = lapack.dtrtri(front.lower, lower=1)
+            back = inverse.T @ front.across
+            cross = back @ known
+            sigma = np.empty((len(front.columns), len(front.columns)))
+            sigma[: front.stay, : front.stay] = known
+            sigma[front.stay :, : front.stay], sigma[: front.stay, front.stay :] = -cross, -cross.T
+            sigma[front.stay :, front.stay :] = inverse.T @ inverse + cross @ back.T
+            yield number, self._placed(front.columns), sigma
+
+    def _placed(self, columns: IntArray) -> IntArray:
+        self._place[columns] = np.arange(len(columns))
+        return self._place
+
+    def _assemble(self, number: int, matrix: Array, vector: Array) -> None:
+        """Add the rows of the columns that are eliminated in a front, which is all that it asks for."""
+        begin, end = self._ends[number], self._ends[number + 1]
+        pointer = self._information.indptr[begin : end + 1]
+        entries = slice(pointer[0], pointer[-1])
+        column = np.repeat(np.arange(begin, end), np.diff(pointer))
+        row = self._information.indices[entries]
+        open_ = row >= begin
+        matrix[self._place[column[open_]], self._place[row[open_]]] += self._information.data[entries][open_]
+        vector[len(vector) - (end - begin) :] += self._right[begin:end]
+
+
+def _eliminated(columns: IntArray, stay: int, matrix: Array, vector: Array) -> Front:
+    lower, info = lapack.dpotrf(matrix[stay:, stay:], lower=1, clean=1)
+    if info:
+        raise np.linalg.LinAlgError("the information is not positive definite")
+    across = solve_triangular(lower, matrix[stay:, :stay], lower=True, check_finite=False)
+    right = solve_triangular(lower, vector[stay:], lower=True, check_finite=False)
+    return Front(columns, stay, lower, across, right)
