@@ -430,7 +430,8 @@ def test_a_folder_without_permission_gets_one_line_and_2(server):
 def test_unknown_names_are_said_before_anything_is_downloaded(server, cache, capsys):
     assert main(["tiny", "ds33", "--base-url", server.url]) == 2
     assert one_line(capsys.readouterr().err) == (
-        "vislam: ds33: no such recording; known are ds3, kitti07, tiny\n"
+        "vislam: ds33: no such recording; known are ds3, kitti07, tiny, those of EuRoC (MH_01_easy ...) "
+        "and of KITTI raw (DATE_drive_NNNN_sync or DATE_drive_NNNN_extract); --list lists them\n"
     )
     assert main([]) == 2
     assert "ds3, kitti07" in one_line(capsys.readouterr().err)

@@ -24,7 +24,7 @@ from vislam.cli.command import (
     load_config,
     refuse_bad_check_options,
 )
-from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of
+from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of, located
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,7 +77,7 @@ def _compare(options: argparse.Namespace) -> int:
         from vislam.cli.own_data import config_of  # noqa: PLC0415
 
         options.config = config_of(
-            options.data,
+            located(options.data),
             out=options.out,
             choice=choice_of(options),
             front_end=options.front_end,

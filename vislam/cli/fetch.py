@@ -4,6 +4,7 @@ Exit codes: 0 done, 2 could not fetch, 130 interrupted (nothing incomplete is ke
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,9 +12,11 @@ from pathlib import Path
 from vislam.base.errors import DataError
 from vislam.cli.command import Parser, answer
 from vislam.cli.console import Terminal
-from vislam.datasets import download
+from vislam.datasets import archives, download
 
 _DAY = 86400.0
+_TOLD = 100_000_000
+"""Bytes after which a line says how many have come."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,20 +64,66 @@ def _list(options: argparse.Namespace) -> int:
     for name, known in download.RECORDINGS.items():
         files = ", ".join(f"{file.name} ({file.size} bytes)" for file in known.files)
         terminal.note(f"{name}: {known.title}; {files}")
+    terminal.note(
+        f"EuRoC, stereo images and inertial samples, a gigabyte or two each: {', '.join(archives.EUROC)}"
+    )
+    terminal.note(f"KITTI raw, stereo images with OXTS, by the name of a drive: {archives.KITTI_RAW}")
     terminal.note(f"into {options.folder or download.cache_folder()}")
     return 0
 
 
 def _fetch(options: argparse.Namespace) -> int:
     if not options.names:
-        raise DataError(f"name what to fetch: {', '.join(download.RECORDINGS)}")
+        raise DataError(
+            f"name what to fetch: {', '.join(download.RECORDINGS)}, or a recording of EuRoC or KITTI raw"
+        )
     # A mistyped name is said before anything is downloaded.
-    wanted = {name: download.recording(name) for name in options.names}
+    wanted = {name: archives.image_set(name) or _recording(name) for name in options.names}
     terminal = Terminal()
     for name, recording in wanted.items():
-        _fetch_one(name, recording, options, terminal)
-    terminal.note(download.LICENCE)
+        if isinstance(recording, archives.ImageSet):
+            _fetch_images(recording, options, terminal)
+        else:
+            _fetch_one(name, recording, options, terminal)
+    euroc = [name in archives.EUROC for name in wanted]
+    if not all(euroc):
+        terminal.note(download.LICENCE)
+    if any(euroc):
+        terminal.note(download.EUROC_LICENCE)
     return 0
+
+
+def _recording(name: str) -> download.Recording:
+    if name in download.RECORDINGS:
+        return download.recording(name)
+    raise DataError(
+        f"{name}: no such recording; known are {', '.join(sorted(download.RECORDINGS))}, those of EuRoC "
+        f"({archives.EUROC[0]} ...) and of KITTI raw ({archives.KITTI_RAW}); --list lists them"
+    )
+
+
+def _fetch_images(wanted: archives.ImageSet, options: argparse.Namespace, terminal: Terminal) -> None:
+    told = 0
+
+    def watch(received: int) -> None:
+        """Report now and then: how much there is to come is not known."""
+        nonlocal told
+        if received < told:
+            told = 0
+        if received - told >= _TOLD:
+            told = received
+            terminal.note(f"{wanted.name}: {received / 1e6:.0f} MB")
+
+    folder = archives.fetch_images(
+        wanted,
+        folder=Path(os.path.expanduser(options.folder)) if options.folder else download.cache_folder(),
+        base_url=options.base_url,
+        timeout=options.timeout,
+        deadline=options.deadline,
+        say=terminal.note,
+        watch=watch,
+    )
+    terminal.note(f"{wanted.name}: vislam compare --data {folder}")
 
 
 def _fetch_one(

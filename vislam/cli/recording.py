@@ -1,10 +1,12 @@
 """Options that say what is meant in a recording of images, and lines on what is in one."""
 
 import argparse
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vislam.base.errors import DataError
 from vislam.datasets.bag_topics import NONE, Choice
 from vislam.datasets.bags import is_bag, opened_bag
 
@@ -43,6 +45,22 @@ def add_front_end_option(parser: argparse.ArgumentParser) -> None:
 def choice_of(options: argparse.Namespace) -> Choice:
     """What the options say."""
     return Choice(options.left, options.right, options.imu, options.calibration)
+
+
+def located(path: Path) -> Path:
+    """The path, or, where it is only the name of a recording, where ``vislam fetch`` has put that."""
+    if os.path.exists(path):
+        return path
+    from vislam.datasets.archives import image_set  # noqa: PLC0415
+    from vislam.datasets.find import find_path, search_path  # noqa: PLC0415
+
+    known = image_set(str(path))
+    if known is None:
+        return path
+    found = find_path(known.folder, search_path(None))
+    if found is None:
+        raise DataError(f"{path}: not here; vislam fetch {path} brings it into the user cache")
+    return found
 
 
 def listed(path: Path, choice: Choice) -> Iterator[str]:

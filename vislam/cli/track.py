@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vislam.cli.command import Parser, answer, overrides
-from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of
+from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of, located
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +58,7 @@ def _track(options: argparse.Namespace) -> int:
     require_opencv()
     chosen = choose_front_end(options.front_end, overrides(options))
     check_writable(options.out)
-    recording, terminal = open_images(options.recording, choice_of(options)), Terminal()
+    recording, terminal = open_images(located(options.recording), choice_of(options)), Terminal()
     path, made = tracks_of(recording, chosen, progress=terminal, fresh=options.fresh)
     copy_tracks(path, options.out)
     summary = json.loads(

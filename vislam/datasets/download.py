@@ -10,9 +10,11 @@ import logging
 import os
 import shutil
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from vislam.base.errors import DataError, NotWrittenError
 from vislam.base.files import check_writable, open_regular, replace_whole
@@ -26,6 +28,7 @@ LICENCE = (
     "KITTI and KITTI-360 are published for non-commercial use with attribution "
     "(Geiger et al. 2013; Liao, Xie and Geiger 2022)"
 )
+EUROC_LICENCE = "EuRoC is published for non-commercial use with attribution (Burri et al. 2016)"
 
 _log = logging.getLogger("vislam.datasets")
 _CHUNK = 1 << 16
@@ -120,8 +123,27 @@ RECORDINGS: dict[str, Recording] = {
 }
 
 
-class _RefusedError(Exception):
+class RefusedError(Exception):
     """What one server did wrong; the next mirror may do better."""
+
+
+class Sink(Protocol):
+    """What a download is written into."""
+
+    wanted: bool
+    """Whether anybody waits for it; writing fails then."""
+
+    def write(self, chunk: bytes) -> None:
+        """Take a piece."""
+
+    def flush(self) -> None:
+        """Do what is to be done; pooch asks a file for it."""
+
+
+class SizedSink(Sink, Protocol):
+    """One that knows how many bytes it has."""
+
+    size: int
 
 
 class _Bounded:
@@ -258,7 +280,7 @@ def _bring(
     for url in urls:
         try:
             content = _download(file, url=url, limits=limits, watch=watch)
-        except _RefusedError as error:
+        except RefusedError as error:
             said.append(f"{url}: {error}")
         else:
             with replace_whole(path) as temporary:
@@ -284,39 +306,71 @@ def _is_good(path: Path, file: RemoteFile) -> bool:
 
 
 def _download(file: RemoteFile, *, url: str, limits: _Limits, watch: Callable[[int], None]) -> bytearray:
-    """Fetch from one server and check; _RefusedError says what it did wrong.
+    """Fetch from one server and check; RefusedError says what it did wrong.
 
     A thread of its own does it, which is left to itself at the deadline: a server that gives a byte now and
     then would keep the HTTP client for ever, and so may the resolution of a name.
     """
     received = _Bounded(file.size, watch)
-    failed: list[Exception] = []
-
-    def request() -> None:
-        try:
-            _request(url, received, timeout=limits.timeout)
-        except Exception as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=request, daemon=True)
-    thread.start()
+    wanted = f"{file.size} bytes"
+    thread, failed = _begun(url, received, timeout=limits.timeout)
     try:
         thread.join(limits.deadline)
     finally:
         received.wanted = False
     if thread.is_alive():
         got = len(received.content)
-        raise _RefusedError(f"expected {file.size} bytes in {limits.deadline:g} s, got {got}")
-    if failed:
-        error = failed[0]
-        if not isinstance(error, OSError | ValueError):
-            raise error
-        raise _RefusedError(_reason(error, file=file, timeout=limits.timeout)) from error
+        raise RefusedError(f"expected {wanted} in {limits.deadline:g} s, got {got}")
+    _raise(failed, wanted, timeout=limits.timeout)
     _check(file, received.content)
     return received.content
 
 
-def _request(url: str, received: _Bounded, *, timeout: float) -> None:
+def download_unsized(url: str, sink: SizedSink, *, timeout: float, deadline: float | None) -> None:
+    """Fetch what has a size that is not known; RefusedError says what the server did wrong.
+
+    Without a deadline it has two timeouts, and then must have given ``SLOWEST`` on the mean.
+    """
+    thread, failed = _begun(url, sink, timeout=timeout)
+    started = time.monotonic()
+    try:
+        while thread.is_alive():
+            thread.join(min(1.0, timeout))
+            spent = time.monotonic() - started
+            slow = spent > 2.0 * timeout + sink.size / SLOWEST if deadline is None else spent > deadline
+            if thread.is_alive() and slow:
+                raise RefusedError(f"expected the file, got {sink.size} bytes in {spent:.1f} s")
+    finally:
+        sink.wanted = False
+    _raise(failed, "the file", timeout=timeout)
+
+
+def _begun(url: str, sink: Sink, *, timeout: float) -> tuple[threading.Thread, list[Exception]]:
+    """A thread that fetches into a sink, and where it leaves what it failed by."""
+    failed: list[Exception] = []
+
+    def request() -> None:
+        try:
+            _request(url, sink, timeout=timeout)
+        except Exception as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=request, daemon=True)
+    thread.start()
+    return thread, failed
+
+
+def _raise(failed: list[Exception], wanted: str, *, timeout: float) -> None:
+    """Raise what a request failed by, as a RefusedError if it is the server's or the disk's."""
+    if not failed:
+        return
+    error = failed[0]
+    if not isinstance(error, OSError | ValueError):
+        raise error
+    raise RefusedError(_reason(error, wanted, timeout=timeout)) from error
+
+
+def _request(url: str, received: Sink, *, timeout: float) -> None:
     # It imports an HTTP client, which only a download needs.
     import pooch  # noqa: PLC0415
 
@@ -325,13 +379,13 @@ def _request(url: str, received: _Bounded, *, timeout: float) -> None:
 
 def _check(file: RemoteFile, content: bytearray) -> None:
     if len(content) != file.size:
-        raise _RefusedError(f"expected {file.size} bytes, got {len(content)}")
+        raise RefusedError(f"expected {file.size} bytes, got {len(content)}")
     got = hashlib.sha256(content).hexdigest()
     if got != file.sha256:
-        raise _RefusedError(f"expected sha256 {file.sha256}, got {got}")
+        raise RefusedError(f"expected sha256 {file.sha256}, got {got}")
 
 
-def _reason(error: Exception, *, file: RemoteFile, timeout: float) -> str:
+def _reason(error: Exception, wanted: str, *, timeout: float) -> str:
     """One plain line for what the HTTP client wraps three deep."""
     response = getattr(error, "response", None)
     if response is not None:
@@ -339,7 +393,7 @@ def _reason(error: Exception, *, file: RemoteFile, timeout: float) -> str:
         response.close()
         return " ".join(f"expected the file, got HTTP {response.status_code} {response.reason}".split())
     if "timed out" in str(error):
-        return f"expected {file.size} bytes, got nothing for {timeout:g} s"
+        return f"expected {wanted}, got nothing for {timeout:g} s"
     inner: BaseException = error
     while (deeper := _cause(inner)) is not None:
         inner = deeper
@@ -347,7 +401,7 @@ def _reason(error: Exception, *, file: RemoteFile, timeout: float) -> str:
     if text.startswith(("HTTP", "<")):
         # "HTTPConnection(host=..., port=...): " repeats the URL.
         text = text.partition(": ")[2]
-    return text if text.startswith("expected") else f"expected {file.size} bytes, got: {text}"
+    return text if text.startswith("expected") else f"expected {wanted}, got: {text}"
 
 
 def _cause(error: BaseException) -> BaseException | None:
