@@ -191,10 +191,10 @@ def test_what_cholesky_refuses_at_every_frame_is_built_anew_ever_more_seldom(
     """From frame 5 on: refused at 5, in going back at 6, 8, 12 and 20, and that of 36 never comes."""
     start, update, built = KIND[name].__init__, KIND[name].update, []
 
-    def noted(self, options, factorization, **rest):
-        start(self, options, factorization, **rest)
-        built.append(factorization)
-        self.factorization = factorization
+    def noted(self, options, parameters):
+        start(self, options, parameters)
+        self.factorization = parameters.getFactorization().lower()
+        built.append(self.factorization)
 
     def fails(self, graph, values, *, newest, **rest):
         slots = update(self, graph, values, newest=newest, **rest)

@@ -94,6 +94,10 @@ class Engine(Protocol):
         """Vector variable."""
         ...
 
+    def imu_bias(self, key: int) -> gtsam.imuBias.ConstantBias:
+        """Biases of accelerometer and gyro."""
+        ...
+
     def points(self, keys: Sequence[int]) -> Array:
         """Points ``(n, 3)`` [m]."""
         ...
@@ -128,6 +132,10 @@ class _Read:
     def vector(self, key: int) -> Array:
         """Vector variable."""
         return _solved(self._solver.calculateEstimateVector, key)
+
+    def imu_bias(self, key: int) -> gtsam.imuBias.ConstantBias:
+        """Biases of accelerometer and gyro."""
+        return _solved(self._solver.calculateEstimateConstantBias, key)
 
     def points(self, keys: Sequence[int]) -> Array:
         """Points ``(n, 3)`` [m]."""
@@ -167,13 +175,12 @@ class WholeGraph(_Read):
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
     """
 
-    def __init__(self, options: SmootherOptions, factorization: str, *, baseline: float) -> None:
+    def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
         self._every = options.relinearize_every
-        self._anchored = factorization == "cholesky"
+        self._anchored = parameters.getFactorization() == "CHOLESKY"
         # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
         self._given = 0
         self._anchor: tuple[int, int] | None = None
-        parameters = _parameters(options, factorization, baseline=baseline)
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
@@ -266,8 +273,7 @@ class WholeGraph(_Read):
 class FixedLag(_Read):
     """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
 
-    def __init__(self, options: SmootherOptions, factorization: str, *, baseline: float) -> None:
-        parameters = _parameters(options, factorization, baseline=baseline)
+    def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
         parameters.enableRelinearization = options.relinearize_every > 0
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
@@ -309,19 +315,35 @@ class FixedLag(_Read):
         return _solved(self._solver.calculateEstimate)
 
 
-def make(options: SmootherOptions, *, factorization: str, baseline: float) -> Engine:
-    """Engine that the options ask for; ``factorization`` is qr or cholesky, the baseline that of the rig."""
+def make(
+    options: SmootherOptions, *, factorization: str, baseline: float, own: Mapping[str, Array]
+) -> Engine:
+    """Engine that the options ask for.
+
+    Parameters
+    ----------
+    options : SmootherOptions
+    factorization : str
+        qr or cholesky.
+    baseline : float
+        That of the rig [m].
+    own : mapping of str to Array
+        Relinearisation thresholds of the variables of the model of motion, by the letter of their keys.
+    """
     kind = WholeGraph if options.lag_s is None else FixedLag
-    return kind(options, factorization, baseline=baseline)
+    return kind(options, _parameters(options, factorization, baseline=baseline, own=own))
 
 
-def _parameters(options: SmootherOptions, factorization: str, *, baseline: float) -> gtsam.ISAM2Params:
+def _parameters(
+    options: SmootherOptions, factorization: str, *, baseline: float, own: Mapping[str, Array]
+) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization(factorization.upper())
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
     moved = _pose_threshold(options, baseline)
     pose = np.repeat([options.pose_threshold_rad, moved], 3)
-    parameters.setRelinearizeThreshold(thresholds(pose=pose, depth_share=options.landmark_threshold))
+    table = thresholds(pose=pose, depth_share=options.landmark_threshold, own=own)
+    parameters.setRelinearizeThreshold(table)
     return parameters
 
 

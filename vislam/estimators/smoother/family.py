@@ -45,6 +45,11 @@ def _variant(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoothe
             f"estimators.{name}: GTSAM's stereo factor has no {lacking[0].replace('_', ' ')} as a variable; "
             f"set noise.{shared_errors.prior_name(lacking[0])} to 0, or compare filters only"
         )
+    if problem.imu is not None and parsed.motion == "between":
+        raise ConfigError(
+            f"estimators.{name}: motion: between is a step of the recorded twist, and the motion of the "
+            "comparison is imu; leave the run out"
+        )
     asked = [name for name, wanted in _BETWEEN_LACKS.items() if wanted(problem)]
     if parsed.motion == "between" and asked:
         raise ConfigError(

@@ -11,7 +11,7 @@ from vislam.base.types import Array
 from vislam.core.estimator import Problem
 from vislam.core.frame import Frame
 from vislam.core.lagged import LagReader
-from vislam.core.step import TWIST_BIAS, Final, State, Step
+from vislam.core.step import Final, State, Step
 from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
@@ -54,12 +54,12 @@ class SmootherEstimator:
         self._problem, self._options = problem, options
         kernel = problem.kernel if options.plain else None
         self._gaussian = options.plain and kernel is None
+        self._motion = motion.make(problem, between=options.motion == "between")
         self.information = {
             "noise of the tracks": _noise(options),
             "kernel": "truncated least squares" if options.final == "gnc" else kernel_name(kernel),
-            "twist bias": "estimated" if options.motion == "bias" else "taken for known",
+            **self._motion.information,
         }
-        self._motion = motion.make(problem, between=options.motion == "between")
         self._stereo = StereoFactors(problem.rig, kernel=kernel)
         self._world = ReportedWorld(problem)
         self._solver = Solver(
@@ -99,24 +99,24 @@ class SmootherEstimator:
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
         every = self._options.pose_cov_every
-        bias, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
+        states, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
         return Step(
             pose=solver.reported(solver.poses[-1]),
             pose_cov=pose_cov,
-            states={TWIST_BIAS: bias},
+            states=states,
             used=np.isin(frame.stereo.track, [track.id for track in seen]),
         )
 
-    def _read_newest(self, frame: Frame, *, with_cov: bool) -> tuple[State, Array | None]:
-        """Bias and, if asked for, covariance of the newest pose, which GTSAM may refuse where it solved."""
+    def _read_newest(self, frame: Frame, *, with_cov: bool) -> tuple[dict[str, State], Array | None]:
+        """States and, if asked for, covariance of the newest pose, which GTSAM may refuse where it solved."""
         engine = self._solver.engine
         if with_cov:
             try:
-                bias = State(*self._motion.bias(engine, frame, with_sigma=True))
-                return bias, self._solver.covariance(frame.k)
+                states = self._motion.states(engine, frame, with_sigma=True)
+                return states, self._solver.covariance(frame.k)
             except IndeterminateError:
                 self._counts["covariances_refused"] = self._counts.get("covariances_refused", 0) + 1
-        return State(*self._motion.bias(engine, frame, with_sigma=False)), None
+        return self._motion.states(engine, frame, with_sigma=False), None
 
     def finalize(self) -> Final:
         """Return all poses and landmarks, after what the options ask for in the end."""

@@ -2,7 +2,8 @@
 
 ``X(k)`` are the poses, ``W(k)`` the twist of the step to frame k less its bias, ``V(k)`` a twist at its end
 that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the body
-itself, where it is supposed to move smoothly, ``H(k)`` the height as the vertical velocity has led, and
+itself, where it is supposed to move smoothly (by raw inertia ``V(k)`` is the velocity and ``B(k)`` both
+biases: :mod:`vislam.estimators.smoother.inertial`), ``H(k)`` the height as the vertical velocity has led, and
 ``CLOCK`` what is left of the clock offset, ``DIRECTION`` that of the velocity in the body, ``A(k)`` the
 anchor beside a pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark
 tells its depth.
@@ -11,6 +12,8 @@ iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that
 nothing; one at 5 m does. So the letter of a landmark is that of its depth, by half octaves, and each
 letter gets a threshold that is the same share of the depth.
 """
+
+from collections.abc import Mapping
 
 import gtsam
 import numpy as np
@@ -23,9 +26,27 @@ DIRECTION: int = D(0)
 _LETTERS = "DEFGIJKLMNijklmnopqrstu"
 _NEAREST = 0.125
 """Depth up to which the first letter goes [m]; the last one begins at 181 m."""
-_LINEAR = 1e3
+_NEVER = 1e3
+LINEAR: Mapping[str, Array] = {
+    letter: np.full(size, _NEVER)
+    for letter, size in (("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1), ("d", 2))
+}
+"""Thresholds of the variables beside the recorded twist, which enter the factors linearly, or nearly so."""
 
-__all__ = ["CLOCK", "DIRECTION", "A", "B", "H", "V", "W", "X", "is_landmark", "landmark", "thresholds"]
+__all__ = [
+    "CLOCK",
+    "DIRECTION",
+    "LINEAR",
+    "A",
+    "B",
+    "H",
+    "V",
+    "W",
+    "X",
+    "is_landmark",
+    "landmark",
+    "thresholds",
+]
 
 
 def landmark(number: int, depth: float) -> int:
@@ -40,15 +61,16 @@ def is_landmark(key: int) -> bool:
     return chr(gtsam.symbolChr(key)) in _LETTERS
 
 
-def thresholds(*, pose: Array, depth_share: float) -> gtsam.ISAM2ThresholdMap:
+def thresholds(*, pose: Array, depth_share: float, own: Mapping[str, Array]) -> gtsam.ISAM2ThresholdMap:
     """Relinearisation thresholds: poses (6,) [rad, m], landmarks as a share of their depth.
 
-    All else enters the factors linearly, or nearly so over any change that occurs.
+    And those of the ``own`` variables of a model of motion, by their letters; anchors never are.
     """
     table = gtsam.ISAM2ThresholdMap()
     table.insert(("x", pose))
-    for letter, size in (("a", 6), ("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1), ("d", 2)):
-        table.insert((letter, np.full(size, _LINEAR)))
+    table.insert(("a", np.full(6, _NEVER)))
+    for letter, least in own.items():
+        table.insert((letter, least))
     for octave, letter in enumerate(_LETTERS):
         table.insert((letter, np.full(3, depth_share * _NEAREST * 2.0 ** (octave / 2.0))))
     return table

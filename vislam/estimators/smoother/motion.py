@@ -21,8 +21,10 @@ from vislam.core.estimator import (
     VerticalVelocityNoise,
 )
 from vislam.core.frame import Frame
+from vislam.core.step import TWIST_BIAS, State
 from vislam.estimators.smoother.engine import Engine
-from vislam.estimators.smoother.keys import CLOCK, DIRECTION, B, H, V, W, X
+from vislam.estimators.smoother.inertial import InertialMotion
+from vislam.estimators.smoother.keys import CLOCK, DIRECTION, LINEAR, B, H, V, W, X
 from vislam.geometry import se3
 from vislam.models import odometry
 
@@ -58,8 +60,18 @@ class Motion(Protocol):
         """Read the variables of the newest frame."""
         ...
 
-    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
-        """Twist bias ``(6,)`` as read last and, if asked for, its standard deviation [rad/s, m/s]."""
+    def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
+        """What is estimated beside the pose, as read last and, if asked for, with standard deviations."""
+        ...
+
+    @property
+    def information(self) -> Mapping[str, str]:
+        """What an estimator says of it beside others."""
+        ...
+
+    @property
+    def thresholds(self) -> Mapping[str, Array]:
+        """Changes of its variables, by the letter of their keys, from which on these are relinearised."""
         ...
 
 
@@ -129,6 +141,9 @@ class OdometryMotion:
     prior.
     """
 
+    information: Mapping[str, str] = {"twist bias": "estimated"}
+    thresholds: Mapping[str, Array] = LINEAR
+
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._constants = _constants(problem)
@@ -187,14 +202,15 @@ class OdometryMotion:
             self._known = {key: engine.vector(key) for key in self._constants}
             self._bias = self._recorded(frame) - engine.vector(W(frame.k))
 
-    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
+    def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
         """Bias at the end of the step; the constants' share in the variance of the twist is left in it."""
-        if not with_sigma:
-            return self._bias, None
-        if frame.k == 0:
-            return self._bias, np.array(self._problem.bias_sigma)
-        walk = frame.dt * self._problem.noise.bias_walk**2
-        return self._bias, np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
+        sigma = None
+        if with_sigma and frame.k == 0:
+            sigma = np.array(self._problem.bias_sigma)
+        elif with_sigma:
+            walk = frame.dt * self._problem.noise.bias_walk**2
+            sigma = np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
+        return {TWIST_BIAS: State(self._bias, sigma)}
 
     def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
         """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
@@ -274,6 +290,9 @@ class BetweenMotion:
     bias goes into the poses as if it had been seen, and with it no clock can be estimated.
     """
 
+    information: Mapping[str, str] = {"twist bias": "taken for known"}
+    thresholds: Mapping[str, Array] = LINEAR
+
     def __init__(self, problem: Problem) -> None:
         density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
         self._problem, self._noise = problem, replace(problem.noise, twist=density)
@@ -311,10 +330,10 @@ class BetweenMotion:
     def read(self, engine: Engine, frame: Frame) -> None:
         """Read nothing: there is no variable but pose and height."""
 
-    def bias(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> tuple[Array, Array | None]:
+    def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
         """Bias that is taken for known; it is not estimated, and has no standard deviation."""
         del engine, frame, with_sigma
-        return np.array(self._problem.bias_mean), None
+        return {TWIST_BIAS: State(np.array(self._problem.bias_mean))}
 
     def _step(self, frame: Frame) -> odometry.Step:
         return odometry.integrate(
@@ -324,6 +343,8 @@ class BetweenMotion:
 
 def make(problem: Problem, *, between: bool = False) -> Motion:
     """Model of motion that a problem asks for; ``between`` is that without a bias."""
+    if problem.imu is not None:
+        return InertialMotion(problem)
     if between:
         return BetweenMotion(problem)
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)

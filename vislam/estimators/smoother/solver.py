@@ -10,7 +10,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother import engine
 from vislam.estimators.smoother.batch import only
-from vislam.estimators.smoother.engine import IndeterminateError
+from vislam.estimators.smoother.engine import Engine, IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.motion import Motion, newest
@@ -49,7 +49,7 @@ class Solver:
         self._rig, self._options, self._motion, self._stereo = rig, options, motion, stereo
         self._world = world
         self.factorization = "qr" if options.factorization == "qr" else "cholesky"
-        self.engine = engine.make(options, factorization=self.factorization, baseline=rig.baseline)
+        self.engine = self._made()
         self.tracks = Tracks(comes_back=comes_back)
         self.poses: list[Array] = []
         self.left: list[Array] = []
@@ -228,9 +228,7 @@ class Solver:
         old = frame.k - self._options.window
         resting = [key for k in self.held() if k <= old for key in self._motion.keys(k)]
         resting += [track.key for track in landmarks if track.views[-1].k <= old]
-        self.engine = engine.make(
-            self._options, factorization=self.factorization, baseline=self._rig.baseline
-        )
+        self.engine = self._made()
         slots = self.engine.update(
             graph,
             values,
@@ -247,6 +245,15 @@ class Solver:
         for track in landmarks:
             track.slots = [moved[slot] for slot in track.slots if slot in moved]
         self._remove = []
+
+    def _made(self) -> Engine:
+        """Engine that holds nothing yet."""
+        return engine.make(
+            self._options,
+            factorization=self.factorization,
+            baseline=self._rig.baseline,
+            own=self._motion.thresholds,
+        )
 
     def _read(self, frame: Frame) -> None:
         """Read the newest frame."""
