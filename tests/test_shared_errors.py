@@ -24,7 +24,8 @@ def test_nothing_but_the_parameter_is_another(short, name, index):
         "clock": other.clock_offset != sequence.clock_offset,
         "twist": not np.array_equal(other.twist, sequence.twist),
     }
-    where = {"disparity_offset": "pixels", "clock": "clock", "velocity_direction": "twist"}.get(name, "rig")
+    known = {"disparity_offset": "pixels", "clock": "clock", "velocity_direction": "twist"}
+    where = known.get(name, "twist" if name == "rate_direction" else "rig")
     assert [part for part, is_so in changed.items() if is_so] == [where]
     # There and back.
     back = moved(other, name, index=index, amount=-0.01)
@@ -61,6 +62,13 @@ def test_the_velocity_is_off_in_proportion_to_its_forward_component(short):
         other = moved(sequence, "velocity_direction", index=index, amount=0.02)
         off = sequence.twist[:, 4 + index] - other.twist[:, 4 + index]
         assert np.allclose(off, 0.02 * sequence.twist[:, 3])
+
+
+def test_roll_and_pitch_rate_are_off_in_proportion_to_the_yaw_rate(short):
+    sequence = short.sequence
+    other = moved(sequence, "rate_direction", index=1, amount=0.02)
+    assert np.allclose(sequence.twist[:, 1] - other.twist[:, 1], 0.02 * sequence.twist[:, 2])
+    assert np.array_equal(np.delete(other.twist, 1, axis=1), np.delete(sequence.twist, 1, axis=1))
 
 
 def test_components_have_names():

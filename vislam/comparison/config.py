@@ -367,6 +367,9 @@ class ConsiderConfig:
     """Offset of the inertial stamps from the camera's [s]."""
     velocity_direction: NonNegative | Two = 0.0
     """Direction of the recorded velocity in the body, to the left and up [rad]."""
+    rate_direction: NonNegative | Two = 0.0
+    """Direction of the recorded turn rate in the body: what roll and pitch rate are off by in proportion to
+    the yaw rate [rad]. Rates that an instrument gives about level axes are off by the slope of the road."""
 
     def components(self) -> Iterator[tuple[str, int, float]]:
         """Parameter, index and standard deviation of each component that is not 0."""

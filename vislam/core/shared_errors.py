@@ -68,6 +68,13 @@ def _velocity_direction(sequence: Sequence, direction: Array) -> Sequence:
     return replace(sequence, twist=twist)
 
 
+def _rate_direction(sequence: Sequence, direction: Array) -> Sequence:
+    """Take the recorded roll and pitch rates for off by the yaw rate times the direction."""
+    twist = sequence.twist.copy()
+    twist[:, :2] -= sequence.twist[:, 2:3] * direction
+    return replace(sequence, twist=twist)
+
+
 PARAMETERS: Mapping[str, Parameter] = {
     "camera_rotation": Parameter(("x", "y", "z"), "rad", _camera_rotation),
     "disparity_offset": Parameter(("",), "px", _disparity_offset),
@@ -75,6 +82,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     "focal_scale": Parameter(("",), "", _focal_scale),
     "clock": Parameter(("",), "s", _clock),
     "velocity_direction": Parameter(("left", "up"), "rad", _velocity_direction),
+    "rate_direction": Parameter(("roll", "pitch"), "rad", _rate_direction),
 }
 """The parameters by name. The camera's turn is about its own axes (x right, y down, z ahead)."""
 
