@@ -1,10 +1,11 @@
-"""Covariances beside the estimators' own, on recordings and in simulation: ``python -m experiments.consider``.
+"""Covariances beside the estimators' own, on recordings and in simulation.
 
-Runs ``eks`` and ``isam2`` on the recordings of :data:`RECORDINGS` with one setting of what is considered
-(:data:`CONSIDER`) and a sandwich of :data:`BLOCKS` blocks, and ``eks`` on simulated drives with the right
-model and with a camera that is turned in the body; writes ``docs/results/consider_covariance.md``.
-``ekf_invariant`` is the forward half of ``eks``, so that the causal poses of ``eks`` are its own. With results
-folders as arguments it takes those and runs no recording; what several have of one run is put together.
+``python -m experiments.consider`` runs ``eks`` and ``isam2`` on the recordings of :data:`RECORDINGS` with one
+setting of what is considered (:data:`CONSIDER`) and a sandwich of :data:`BLOCKS` blocks, and ``eks`` on
+simulated drives with the right model and with a camera that is turned in the body; it writes
+``docs/results/consider_covariance.md``. ``ekf_invariant`` is the forward half of ``eks``, so that the causal
+poses of ``eks`` are its own. With results folders as arguments it takes those and runs no recording; what
+several have of one run is put together.
 """
 
 import argparse
@@ -53,8 +54,8 @@ CONSIDER = ConsiderConfig(
     velocity_direction=0.01,
     rate_direction=0.025,
 )
-"""One setting for all: mounting to 0.2 deg, stereo matching to 0.3 px, calibration to 2 px, stamps to a fifth of
-a frame, velocity to 0.6 deg, and turn rates about level axes on roads of 2.5 % crossfall."""
+"""One setting for all: mounting to 0.2 deg, stereo matching to 0.3 px, calibration to 2 px, stamps to a fifth
+of a frame, velocity to 0.6 deg, and turn rates about level axes on roads of 2.5 % crossfall."""
 BLOCKS = 8
 SEEDS = 4
 TURN = 0.003
