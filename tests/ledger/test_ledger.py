@@ -70,11 +70,11 @@ def results(tmp_path):
 def test_every_kind_is_found_and_read(results):
     found = {entry.folder.name: entry for entry in find(results)}
     assert found.keys() == {"ds3-1", "ds3-2", "evil", "s-1", "inspection", "broken"}
-    assert headline(found["ds3-1"]) == "isam2 0.80 m, ekf 1.60 m"
+    assert headline(found["ds3-1"]) == "isam2 0.80 m (smoothed); ekf 1.60 m (filtered)"
     assert found["ds3-1"].checks == (2, 2)
     assert found["ds3-1"].commit == "a" * 10
     assert found["ds3-2"].commit == "b" * 10 + "+"
-    assert headline(found["s-1"]) == "ekf 3.00 m; 1 points, 4 seeds, 1 lost or failed"
+    assert headline(found["s-1"]) == "ekf 3.00 m (filtered); 1 points, 4 seeds, 1 lost or failed"
     assert headline(found["inspection"]) == "faults: clock"
     assert found["inspection"].data == "03 [SIMULATED]"
     assert headline(found["broken"]).startswith("cannot be used: ")
@@ -127,7 +127,7 @@ def test_the_command_lists_exports_and_writes_a_page(results, capsys):
     table = results / "all.csv"
     assert main([str(results), "--export", str(table), "--sort", "error"]) == 0
     out = capsys.readouterr().out
-    assert "isam2 0.80 m, ekf 1.60 m" in out
+    assert "isam2 0.80 m (smoothed); ekf 1.60 m (filtered)" in out
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     by = {(Path(row["folder"]).name, row["estimator"]): row for row in rows}
     assert float(by["ds3-2", "isam2"]["error"]) == 1.2

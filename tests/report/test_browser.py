@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from tests.inspection.test_page import FINDINGS, SERIES
 from tests.records import altered
+from tests.report.test_study_page import PIXELS
+from tests.report.test_study_page import page as write_study
+from tests.study.synthetic import study
 from vislam import evaluate
 from vislam.evaluation import evaluate as evaluate_runs
+from vislam.inspection.finding import Inspection
+from vislam.inspection.page import write_inspection
+from vislam.ledger.entries import find
+from vislam.ledger.page import write_index
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 
@@ -196,6 +204,7 @@ def test_a_header_sorts_the_rows_and_again_reverses_them(opened, tiny, press):
     table = page.locator("table.sortable").nth(2)
     assert names_in(table) == names
     header = table.locator("th", has_text="peak memory")
+    assert header.inner_text().split() == ["peak", "memory", "[MB]", "?"]
     value = {name: round(tiny.evaluation.value(name, "peak_rss_mb")) for name in names}
     press(header.locator("button"))
     upwards = names_in(table)
@@ -321,24 +330,70 @@ def test_nothing_is_hidden_without_a_hint_to_scroll(opened, width):
     page.evaluate("for (const item of document.querySelectorAll('details')) item.open = true")
     page.wait_for_timeout(200)
     assert hidden_columns(page) == 0
-    # On a wide screen all but the table of the pairs fit; on a phone tables and figures have to scroll.
-    others = [label for label in sideways(page) if label != "Distances between estimates"]
-    assert (not others) is (width == 1400)
+    # On a wide screen everything fits; on a phone tables and figures have to scroll.
+    assert (not sideways(page)) is (width == 1400)
     assert page.evaluate("document.documentElement.scrollWidth") == width
 
 
-def test_the_smallest_text_on_a_phone_is_11_px(opened):
-    page = opened(viewport={"width": 390, "height": 844}).page
+def test_the_first_screen_says_who_is_better_whose_covariance_to_trust_and_at_what_cost(opened, tiny):
+    page = opened(viewport={"width": 1400, "height": 900}).page
+    table = page.locator("table.summary")
+    box = table.bounding_box()
+    assert box["y"] + box["height"] < 900
+    assert page.locator("p.answer").first.bounding_box()["y"] < box["y"]
+    heads = table.locator("thead th").all_inner_texts()
+    for wanted in ("ATE", "against the best", "held-out", "sigmas", "90 % region", "step", "total time"):
+        assert any(wanted in head for head in heads)
+    assert set(names_in(table)) == set(tiny.runs)
+    assert any("best" in row for row in table.locator("tbody tr").all_inner_texts())
+
+
+def text_sizes(page):
+    """Sizes of all texts that are seen, as they are drawn [px]."""
     page.evaluate("for (const item of document.querySelectorAll('details')) item.open = true")
-    sizes = page.evaluate(
+    return page.evaluate(
         """() => [...document.querySelectorAll("body *")]
           .filter((item) => [...item.childNodes].some((node) => node.nodeType === 3 && node.data.trim())
             && !["SCRIPT", "STYLE"].includes(item.tagName) && item.getClientRects().length)
           .map((item) => parseFloat(getComputedStyle(item).fontSize)
             * (item.getScreenCTM ? Math.hypot(item.getScreenCTM().a, item.getScreenCTM().b) : 1))"""
     )
+
+
+def test_the_smallest_text_on_a_phone_is_11_px(opened):
+    sizes = text_sizes(opened(viewport={"width": 390, "height": 844}).page)
     assert len(sizes) > 300
     assert min(sizes) > 10.95
+
+
+@pytest.fixture(scope="module")
+def others(written, tmp_path_factory):
+    """The other pages: of a study, an inspection and a ledger."""
+    folder = tmp_path_factory.mktemp("others")
+    write_study(folder, study(PIXELS))
+    result = Inspection("drive", FINDINGS, SERIES)
+    ledger = write_index(written.parent.parent, find(written.parent.parent))
+    return {
+        "study": folder / "study.html",
+        "inspection": write_inspection(folder, result, stand_in=True, config="name: drive"),
+        "ledger": ledger,
+    }
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+@pytest.mark.parametrize("which", ["study", "inspection", "ledger"])
+def test_the_other_pages_fit_can_be_read_and_ask_for_nothing(browser, others, which, width):
+    start = Opened(browser, others[which], viewport={"width": width, "height": 900})
+    sizes = text_sizes(start.page)
+    start.page.wait_for_timeout(200)
+    assert hidden_columns(start.page) == 0
+    assert (not sideways(start.page)) is (width == 1400)
+    assert start.page.evaluate("document.documentElement.scrollWidth") == width
+    assert len(sizes) > 30
+    assert min(sizes) > 10.95
+    start.context.close()
+    assert start.complaints() == []
+    assert start.asked == [others[which].as_uri()]
 
 
 def test_the_wheel_scrolls_the_page_until_the_scene_has_the_focus(opened):

@@ -25,13 +25,13 @@ from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import all_figures
 from vislam.report.noticed import noticed_lines, read_lines
-from vislam.report.page import Content, clear_report, write_page
+from vislam.report.page import MOST_CHECKS, Content, clear_report, write_page
 from vislam.report.scene import scene_data
 from vislam.report.shown import Shown
 from vislam.report.svg import plain_svg, save_png, save_svg
 from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
-from vislam.report.verdict import verdict
+from vislam.report.verdict import verdict as verdict_of
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 2
@@ -273,7 +273,7 @@ def metrics_document(
 def headline_of(results: Results, evaluation: Evaluation) -> list[str]:
     """What the terminal shows of the verdict."""
     unequal, reference = unequal_line(results.shared_information()), results.record.reference
-    return verdict(results.runs, evaluation, reference, unequal=unequal, spread=results.spread).answer
+    return verdict_of(results.runs, evaluation, reference, unequal=unequal, spread=results.spread).answer
 
 
 def announce(results: Results, published: Published, progress: Progress) -> None:
@@ -300,10 +300,16 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         for estimate in run.estimates:
             for reason in published.evaluation.degenerate(name, estimate):
                 progress.note(f"{name}, {estimate}, is degenerate and not ranked: {reason}")
-    for check in published.verdicts:
-        progress.note(check.line())
-    if len(published.verdicts) > 1:
-        progress.note(summary(published.verdicts))
+    _announce_checks(published.verdicts, progress)
+
+
+def _announce_checks(verdicts: Sequence[Verdict], progress: Progress) -> None:
+    """Print what does not hold, and what holds as long as that is no long list."""
+    for verdict in verdicts:
+        if not verdict.holds or len(verdicts) <= MOST_CHECKS:
+            progress.note(verdict.line())
+    if len(verdicts) > 1:
+        progress.note(summary(verdicts))
 
 
 def save_pictures(results: Results, evaluation: Evaluation, folder: Path) -> None:

@@ -141,7 +141,7 @@ class Runner:
             return kept
         if isinstance(solver, Unbuilt):
             return loop.not_run(name, self.sequence, solver.failure)
-        title = f"{name}, for the list" if preparatory else name
+        title = f"{name}, for the common set" if preparatory else name
         with self.progress.bar(title, len(self.sequence)) as bar:
             found = loop.run(
                 solver,

@@ -71,8 +71,15 @@ class Entry:
 
     def metric(self, estimator: str, key: str) -> float | None:
         """Metric of a run: of its smoothed poses, else of its filtered ones, else of it as a whole."""
-        names = (f"{estimator}.{key}.smoothed", f"{estimator}.{key}.filtered", f"{estimator}.{key}")
-        return next((self.metrics[name] for name in names if name in self.metrics), None)
+        of = self.estimate(estimator, key)
+        return None if of is None else self.metrics[".".join(filter(None, (estimator, key, of)))]
+
+    def estimate(self, estimator: str, key: str) -> str | None:
+        """Of which estimate a metric of a run is: "smoothed", "filtered" or "", of it as a whole."""
+        for of in ("smoothed", "filtered", ""):
+            if ".".join(filter(None, (estimator, key, of))) in self.metrics:
+                return of
+        return None
 
     def headline(self, estimator: str, what: str) -> float | None:
         """One of ``HEADLINES`` of a run."""

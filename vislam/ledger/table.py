@@ -35,12 +35,22 @@ def headline(entry: Entry) -> str:
     """Headline errors of the runs, the smallest first, and what else is to be said."""
     if entry.problem:
         return f"cannot be used: {entry.problem}"
-    errors = []
+    groups = [_errors(entry, estimate) for estimate in ("smoothed", "filtered", "")]
+    return "; ".join(filter(None, (*groups, entry.told)))
+
+
+def _errors(entry: Entry, estimate: str) -> str:
+    """Errors of the runs whose headline is of an estimate, the smallest first: never of two in one row."""
+    found = []
     for name in entry.estimators:
-        found = ((entry.metric(name, key), METRICS[key]) for key in ERRORS)
-        known = [(value, spec) for value, spec in found if value is not None]
-        errors += [(value, f"{name} {value:.{spec.digits}f} {spec.unit}") for value, spec in known[:1]]
-    return "; ".join(filter(None, (", ".join(text for _, text in sorted(errors)), entry.told)))
+        known = [(key, of) for key in ERRORS if (of := entry.estimate(name, key)) is not None][:1]
+        found += [(entry.metric(name, key), key, name) for key, of in known if of == estimate]
+    told = [
+        f"{name} {value:.{METRICS[key].digits}f} {METRICS[key].unit}"
+        for value, key, name in sorted(found)
+        if value is not None
+    ]
+    return f"{', '.join(told)}{f' ({estimate})' if estimate else ''}" if told else ""
 
 
 def relative(path: Path, below: Path) -> str:

@@ -1,4 +1,4 @@
-"""The one sentence that answers the question: who is better, if anybody is, and whose covariance is wrong."""
+"""The sentence that answers the question: who is better, if anybody is, and whose covariance is wrong."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,8 @@ from vislam.report.standing import Standing, standings
 from vislam.report.words import interval, named, times
 
 
-def headline(blocks: Sequence[Block], reference: Reference | None, *, unequal: bool) -> str:
-    """Compose it; a block of runs each, filtered ones and smoothed ones.
+def headline(blocks: Sequence[Block], reference: Reference | None, *, unequal: bool) -> list[str]:
+    """Compose it, a sentence for each block of runs, filtered ones and smoothed ones.
 
     Parameters
     ----------
@@ -20,12 +20,11 @@ def headline(blocks: Sequence[Block], reference: Reference | None, *, unequal: b
     unequal : bool
         Whether information is known to have differed between runs.
     """
-    said = [f"{block.estimate}: {text}" for block in blocks if (text := _of_block(block, reference))]
+    said = [f"{block.estimate}: {text}." for block in blocks if (text := _of_block(block, reference))]
     begin = _information(blocks, unequal=unequal)
-    text = ". ".join(part[0].upper() + part[1:] for part in said)
     if begin and said:
-        text = f"{begin}, {text[0].lower()}{text[1:]}"
-    return f"{text}." if text else ""
+        said[0] = f"{begin}, {said[0]}"
+    return [text[0].upper() + text[1:] for text in said]
 
 
 def _information(blocks: Sequence[Block], *, unequal: bool) -> str:

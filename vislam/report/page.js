@@ -40,6 +40,7 @@
     const what = header.querySelector("a.what");
     if (what) what.remove();
     button.textContent = header.textContent.trim();
+    header.replaceChildren();
     button.addEventListener("click", () => sort(header));
     header.append(button, ...(what ? [what] : []));
   }

@@ -42,6 +42,8 @@ from vislam.report.verdict import verdict
 
 WIDE = ("top_view", "ladder")
 """Figures that take the whole width of a page."""
+MOST_CHECKS = 10
+"""Checks up to which those that hold are shown one by one."""
 _ABSCISSA = 1000
 """Points of the distance over time that a page has at most."""
 
@@ -105,9 +107,9 @@ def write_page(path: Path, content: Content) -> None:
         title=content.title,
         notes=record.notes,
         failures=[(name, run.log.error) for name, run in runs.items() if not run.complete],
-        checks=content.checks,
-        # A line for the filtered estimates, another for the smoothed ones.
-        answer="\n".join(told.answer).replace(" Smoothed: ", "\nSmoothed: ").splitlines(),
+        checks=[one for one in content.checks if one[0] is not True or len(content.checks) <= MOST_CHECKS],
+        held=[text for holds, text in content.checks if holds and len(content.checks) > MOST_CHECKS],
+        answer=told.answer,
         summary=told.summary,
         verdict=[*content.noticed, *told.reasons],
         reference=record.reference,

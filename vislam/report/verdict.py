@@ -66,9 +66,11 @@ def verdict(
     """
     blocks = [Block(runs, evaluation, estimate, spread=spread) for estimate in ESTIMATES]
     blocks = [block for block in blocks if block.runs]
-    first = headline(blocks, reference, unequal=bool(unequal))
     return Verdict(
-        answer=[*_misled(blocks, runs, evaluation, reference), *filter(None, [first])],
+        answer=[
+            *_misled(blocks, runs, evaluation, reference),
+            *headline(blocks, reference, unequal=bool(unequal)),
+        ],
         summary=summary_table(blocks, reference),
         reasons=[*_limits(reference, unequal), *_reasons(blocks, runs, evaluation, reference)],
     )
