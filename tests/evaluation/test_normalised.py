@@ -326,3 +326,19 @@ def test_the_scale_gap_and_the_90_percent_region_are_those_of_the_medians(rng):
     assert claim.scale_gap() == pytest.approx(3.0, rel=0.05)
     held = np.mean(np.sum(whitened**2, axis=1) <= 6.251389)
     assert claim.coverage_curve(np.array([0.9]))[0] == pytest.approx(held, abs=1e-9)
+
+
+def test_of_a_run_that_measured_gravity_roll_and_pitch_count(rng):
+    """Worlds are joined by heading and position; of another run the whole first pose is free."""
+    truth, run = drive(rng)
+    off = se3.exp(np.array([0.0, 0.0, 2.1, 3.0, -1.0, 0.5])) @ se3.exp(np.array([0.02, -0.01, 0, 0, 0, 0]))
+    tilted = altered(run, world_T_imu=off @ truth)
+    free = pose_errors(tilted, of_truth(truth))["rotation"]
+    upright = pose_errors(replace(tilted, upright=True), of_truth(truth))["rotation"]
+    assert np.allclose(free.error, 0.0, atol=1e-9)
+    assert np.allclose(np.linalg.norm(upright.error, axis=1), np.hypot(0.02, 0.01), rtol=1e-3)
+    assert "by heading and position" in upright.convention
+    turned = altered(
+        run, world_T_imu=se3.exp(np.array([0.0, 0.0, 2.1, 3.0, -1.0, 0.5])) @ truth, upright=True
+    )
+    assert np.allclose(pose_errors(turned, of_truth(truth))["pose"].error, 0.0, atol=1e-9)

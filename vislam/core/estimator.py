@@ -164,7 +164,8 @@ class Estimator(Protocol):
     """What is built from a :class:`Problem` and options, fed frames in order, then asked for its end.
 
     One that is not meant to use the camera says so by an attribute ``blind = True``; any other that has fused
-    no observation in the end is reported as degenerate.
+    no observation in the end is reported as degenerate. One whose roll and pitch are estimates against
+    gravity, in a world whose z axis points up, says so by ``upright = True``.
     """
 
     def process(self, frame: Frame) -> Step:

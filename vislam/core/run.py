@@ -76,6 +76,7 @@ _TABLE: Table = {
     "fit": Plain(tuple[Level, int] | None),
     "blind": Plain(bool),
     "elsewhere": Plain(bool, later=True),
+    "upright": Plain(bool, later=True),
     "identity": Plain(str),
     "information": Plain(dict[str, str]),
     "lagged": Section(optional=True, later=True),
@@ -223,6 +224,9 @@ class Run:
         Whether the estimator is not meant to use the camera.
     elsewhere : bool
         Whether it was read from a trajectory file, so that nobody knows what was given and fused.
+    upright : bool
+        Whether gravity was measured, so that roll and pitch against its world's z axis are estimates, and
+        only heading and position were free to be chosen.
     identity : str
         Hash of all that decides the run; empty if it is not known.
     information : dict of str to str
@@ -254,6 +258,7 @@ class Run:
     fit: tuple[float, int] | None = None
     blind: bool = False
     elsewhere: bool = False
+    upright: bool = False
     identity: str = ""
     information: dict[str, str] = field(default_factory=dict)
     lagged: Lagged | None = None

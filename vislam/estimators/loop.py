@@ -87,6 +87,7 @@ def run(
     found = replace(
         found,
         blind=bool(getattr(estimator, "blind", False)),
+        upright=bool(getattr(estimator, "upright", False)),
         information=dict(getattr(estimator, "information", {})),
     )
     if failure is not None and _from_outside(failure):

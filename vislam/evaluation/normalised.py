@@ -19,7 +19,7 @@ from vislam.core.trajectory import Poses
 from vislam.evaluation import statistics
 from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.weighted_alignment import align_weighted
-from vislam.geometry import se3
+from vislam.geometry import se3, so3
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "position": slice(3, 6)}
 """Parts of a pose error (omega, v) that have a NEES of their own."""
@@ -105,7 +105,8 @@ def pose_errors(
     reference : Reference
         With full poses, of any point. Its world is moved so that its first pose is the run's at that frame:
         the errors are those of the motion since then. The covariances are as claimed, with what the run
-        was uncertain of at that frame.
+        was uncertain of at that frame. For a run that measured gravity it is turned about the vertical and
+        moved only, so that roll and pitch count; its own z axis is then taken to point up.
     estimate : "filtered" or "smoothed", optional
         Whose poses and covariances; the final one by default.
     """
@@ -118,21 +119,23 @@ def pose_errors(
         # Others may give covariances of positions alone.
         parts, cov = {"position": PARTS["position"]}, _with_unit_rotation(cov)
     target = reference.pose[other]
-    error = se3.local(pose, pose[0] @ se3.inverse(target[0]) @ target)
+    joined = joint_by_yaw(pose[0], target[0]) if run.upright else pose[0] @ se3.inverse(target[0])
+    error = se3.local(pose, joined @ target)
     cov = cov + _of_reference(target, reference)
     level = np.zeros((len(pose), 6, 6))
     level[:, :3, :3] = level[:, 3:, 3:] = pose[:, :3, :3]
     staying, staying_cov = (level @ error[:, :, None])[:, :, 0], level @ cov @ level.transpose(0, 2, 1)
     # What is hardly positive definite may be so no longer in other axes.
     known = usable(cov) & usable(staying_cov)
-    # The first error is zero by construction.
+    # The first error is zero by construction, of an upright run that of heading and position.
     known[0] = False
     if not known.any():
         return None
     error, cov, staying, staying_cov = (part[known] for part in (error, cov, staying, staying_cov))
     convention = (
         f"error = log(estimate^-1 {reference.name}), axes of the body at the reference's point; "
-        f"worlds joined at frame {frame[0]}; estimated covariance, right perturbation"
+        f"worlds joined at frame {frame[0]}{' by heading and position' if run.upright else ''}; estimated "
+        "covariance, right perturbation"
     )
     if reference.sigma or reference.sigma_rotation:
         degrees = np.rad2deg(reference.sigma_rotation)
@@ -149,6 +152,17 @@ def pose_errors(
         )
         for part, columns in parts.items()
     }
+
+
+def joint_by_yaw(pose: Array, target: Array) -> Array:
+    """Turn about z and move ``(4, 4)`` that take a target pose ``(4, 4)`` nearest to another.
+
+    The places become the same; of all turns about z it is the one that leaves the smallest angle.
+    """
+    between = pose[:3, :3] @ target[:3, :3].T
+    heading = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+    turn = so3.exp(np.array([0.0, 0.0, heading]))
+    return se3.from_rotation_translation(turn, pose[:3, 3] - turn @ target[:3, 3])
 
 
 def position_errors(

@@ -49,6 +49,7 @@ class EkfEstimator:
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
         self._threshold = float(chi2_quantile(problem.gate_probability, 3)) if options.gate else np.inf
         self._motion = motion.make(problem)
+        self.upright = problem.imu is not None
         self._nearest = problem.rig.nearest
         start = motion.navigation(problem, self._motion)
         self._layout = start.layout

@@ -45,6 +45,7 @@ class MsckfEstimator:
         self._problem = problem
         self._options = options
         self._motion = motion.make(problem)
+        self.upright = problem.imu is not None
         start = motion.navigation(problem, self._motion)
         self._camera = Camera(problem.rig, parametrisation.make("point", problem.rig), start.layout)
         self.window = Window(

@@ -55,6 +55,7 @@ class SmootherEstimator:
         kernel = problem.kernel if options.plain else None
         self._gaussian = options.plain and kernel is None
         self._motion = motion.make(problem, between=options.motion == "between")
+        self.upright = problem.imu is not None
         self.information = {
             "noise of the tracks": _noise(options),
             "kernel": "truncated least squares" if options.final == "gnc" else kernel_name(kernel),
