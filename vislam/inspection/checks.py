@@ -16,6 +16,7 @@ from vislam.evaluation.held_out import hold_out
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.lever_arm import check_lever_arm
+from vislam.inspection.shared_errors import check_shared_errors
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus
 from vislam.repair.inertial import Clock, NavigationFrameVelocity
@@ -208,13 +209,26 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
         fits = rigid_fits(sequence, continuations(sequence))
     steps = motion.vision_steps(sequence, fits)
     book.enter(biases.check_biases(sequence, steps, bias_mean=noise.bias_mean, bias_sigma=noise.bias_sigma))
-    book.enter(motion.check_inertial_noise(sequence, density=noise.twist_density, seen=(sequence, steps)))
+    white = book.enter(
+        motion.check_inertial_noise(sequence, density=noise.twist_density, seen=(sequence, steps))
+    )
     book.enter(
         *pixels.check_pixel_noise(
             sequence, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px
         )
     )
     book.enter(stereo.check_match(sequence, fits, matching_bias_px=noise.matching_bias_px))
+    measured = {**white.settings, **white.proposal}
+    book.enter(
+        *check_shared_errors(
+            sequence,
+            fits,
+            density=measured.get("noise.twist_density", noise.twist_density),
+            bias_mean=noise.bias_mean,
+            bias_sigma=noise.bias_sigma,
+            priors={name: value for name, value in asdict(noise).items() if isinstance(value, float)},
+        )
+    )
     means, _ = sequence.step_means()
     book.series |= {
         "step_time": sequence.stamp[steps.frame] - sequence.stamp[0],

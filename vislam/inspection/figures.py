@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from vislam.base.legible import literal
 from vislam.base.types import Array
 from vislam.inspection.finding import Inspection
+from vislam.inspection.shared_profile import CHANNELS, QUANTITIES
 from vislam.report.canvas import SMALL, TIME, legend, logarithmic, new_figure
 from vislam.report.colours import COLOURS
 from vislam.report.figures import Drawing
@@ -26,12 +27,18 @@ _TOLD = {
         "One-frame error of each reading of axes and extrinsic, mismatch over the clock offset, distance by "
         "disparity, and pixel noise over the frames between two observations.",
     ),
+    "shared": (
+        "Errors that all tracks share",
+        "Mean residuals of tracks carried over one frame, with 95 % intervals by a block bootstrap: under "
+        "the recorded motion less its bias (left), and under the rigid motion of the frame's own tracks (right).",
+    ),
 }
 """Title and caption of each figure."""
 OF_CHECKS = {
     "tracks": ("duplicated tracks", "tracks", "observations"),
     "motion": ("biases", "inertial noise", "third velocity component", "units"),
     "checks": ("axes and extrinsic", "clock", "stereo scale", "disparity offset", "pixel noise"),
+    "shared": ("shared errors",),
 }
 """Checks whose evidence each figure shows."""
 
@@ -50,6 +57,8 @@ def figures(result: Inspection, *, title: str) -> dict[str, Figure]:
     panels = [draw for draw, needed in _PANELS.items() if all(len(series.get(name, ())) for name in needed)]
     if panels:
         drawn["checks"] = _checks(series, panels)
+    if len(series.get("shared_at", ())):
+        drawn["shared"] = _shared(series)
     for figure in drawn.values():
         figure.suptitle(literal(title), x=0.99, ha="right", fontsize=SMALL)
     return drawn
@@ -108,6 +117,24 @@ def _checks(series: dict[str, Array], panels: list[Panel]) -> Figure:
     figure = new_figure(5.6 if len(panels) > 2 else 3.2)
     for place, draw in enumerate(panels, start=1):
         draw(figure.add_subplot((len(panels) + 1) // 2, min(len(panels), 2), place), series)
+    return figure
+
+
+def _shared(series: dict[str, Array]) -> Figure:
+    figure = new_figure(9.6)
+    panels = figure.subplots(len(QUANTITIES), 2)
+    for side, name in enumerate(("shared_recorded", "shared_own")):
+        for row, (at, table) in enumerate(zip(series["shared_at"], series[name], strict=True)):
+            axes = panels[row, side]
+            for channel, colour in enumerate(COLOURS[: len(CHANNELS)]):
+                mean, low, high = table[:, channel].T
+                axes.plot(at, mean, "o-", markersize=2, linewidth=0.8, color=colour, label=CHANNELS[channel])
+                axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0.0)
+            axes.axhline(0.0, color="0.6", linewidth=0.6)
+            axes.set(xlabel=QUANTITIES[row], ylabel="residual [px]" if side == 0 else "")
+            if row == 0:
+                logarithmic(axes, "x")
+    legend(figure, panels[0, 0])
     return figure
 
 

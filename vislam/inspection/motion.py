@@ -75,7 +75,7 @@ def check_clock(
     average it better than one whole. Uncorrected, that draws the offset towards whole periods.
     """
     period = float(np.median(np.diff(sequence.inertial_stamp)))
-    noise = np.array([_sample_noise(sequence.twist[:, i]) for i in range(4)])
+    noise = np.array([sample_noise(sequence.twist[:, i]) for i in range(4)])
     steps = _without_gaps(sequence, steps)
     if len(steps.frame) < _FEWEST_CHANGES:
         text = f"only {len(steps.frame)} steps without a gap show the camera's motion"
@@ -156,7 +156,7 @@ def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Arra
     return np.asarray((residual**2 - added) / spread)
 
 
-def _sample_noise(values: Array) -> float:
+def sample_noise(values: Array) -> float:
     """Standard deviation of white noise in samples of a smooth motion."""
     return 1.4826 * float(np.median(np.abs(np.diff(values, n=4)))) / float(_FOURTH_DIFFERENCE)
 
@@ -288,7 +288,7 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
     """
     means, _ = sequence.step_means()
     recorded, seen = means[steps.frame, 5], steps.twist[:, 5]
-    noise = _sample_noise(sequence.twist[:, 5])
+    noise = sample_noise(sequence.twist[:, 5])
     # A step averages two samples or more, which halves the variance of their noise.
     variance = float(np.var(recorded))
     reliable = max(0.0, 1.0 - 0.5 * noise**2 / variance) if variance > 0 else 0.0
