@@ -165,7 +165,10 @@ def test_rates_of_false_alarms_and_of_misses():
             },
         ),
         # The extrinsic is mixed: its translation is that of the inverse, which the turns show.
-        ("0027.npz", {"observations", "duplicated tracks", "clock", "lever arm", "moving objects"}),
+        (
+            "0027.npz",
+            {"observations", "duplicated tracks", "clock", "lever arm", "moving objects", "shared errors"},
+        ),
     ],
 )
 @pytest.mark.slow
@@ -229,4 +232,4 @@ def test_hand_held_with_few_tracks_says_so_first(tmp_path):
     assert result.finding("third velocity component").verdict == "ok"
     assert result.finding("lever arm").verdict == "ok"
     assert {"data.repair.baseline", "data.repair.disparity_offset"} <= set(result.unknown)
-    assert set(figures(result, title="t")) == {"tracks", "motion", "checks"}
+    assert set(figures(result, title="t")) == {"tracks", "motion", "checks", "shared"}

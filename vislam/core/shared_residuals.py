@@ -12,6 +12,7 @@ g the back-projection, h the projection and e the error of the twist; B is that 
 image (by h), or the twist.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,41 +22,28 @@ from vislam.core.rigid_fit import MIXING, RigidFit, continuations, inertial_step
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
-
-
-@dataclass(frozen=True)
-class SharedParameter:
-    """One calibration parameter that all tracks share.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-    axes : tuple of str
-        Names of its components; one empty name for a scalar.
-    """
-
-    name: str
-    unit: str
-    axes: tuple[str, ...] = ("",)
-
-
-SHARED = (
-    SharedParameter("camera_rotation", "rad", ("x", "y", "z")),
-    SharedParameter("disparity_offset", "px"),
-    SharedParameter("principal_point", "px", ("x", "y")),
-    SharedParameter("focal_scale", ""),
-    SharedParameter("baseline_scale", ""),
-    SharedParameter("clock", "s"),
-    SharedParameter("velocity_direction", "rad", ("left", "up")),
+from vislam.models.shared_errors import (
+    CAMERA_ROTATION,
+    CLOCK,
+    DISPARITY_OFFSET,
+    FOCAL_SCALE,
+    PRINCIPAL_POINT,
+    VELOCITY_DIRECTION,
 )
-"""What the columns of :attr:`SharedResiduals.by_shared` are, in order.
 
-``camera_rotation``: the true ``imu_T_cam`` is ``exp(theta)`` times the stated one, body axes.
-``disparity_offset``: how much too large the disparities are. ``principal_point``, ``focal_scale``,
-``baseline_scale``: true less stated, the scales as shares. ``clock``: how much later the inertial stamps are
-than stated. ``velocity_direction``: the recorded velocity is off by it times its forward component.
-"""
+BASELINE_SCALE = "baseline_scale"
+"""Share by which the baseline is longer than stated: no state of an estimator, but what others look like."""
+SHARED: Mapping[str, tuple[str, ...]] = {
+    CAMERA_ROTATION: (" x", " y", " z"),
+    DISPARITY_OFFSET: ("",),
+    PRINCIPAL_POINT: (" column", " row"),
+    FOCAL_SCALE: ("",),
+    BASELINE_SCALE: ("",),
+    CLOCK: ("",),
+    VELOCITY_DIRECTION: (" left", " up"),
+}
+"""What the columns of :attr:`SharedResiduals.by_shared` are, in order: of each parameter, what tells its
+components apart in words. Signs and frames are those of :mod:`vislam.models.shared_errors`."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ _TOLD = {
     "shared": (
         "Errors that all tracks share",
         "Mean residuals of tracks carried over one frame, with 95 % intervals by a block bootstrap: under "
-        "the recorded motion less its bias (left), and under the rigid motion of the frame's own tracks (right).",
+        "the recorded motion less its bias (left), and under the rigid motion of the frame's own tracks "
+        "(right).",
     ),
 }
 """Title and caption of each figure."""

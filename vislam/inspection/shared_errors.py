@@ -14,16 +14,11 @@ from vislam.base.types import Array
 from vislam.core.rigid_fit import RigidFit
 from vislam.core.sequence import Sequence
 from vislam.core.shared_fit import PooledFit, pooled
-from vislam.core.shared_residuals import (
-    SHARED,
-    SharedParameter,
-    SharedResiduals,
-    shared_residuals,
-    twist_rates,
-)
+from vislam.core.shared_residuals import SHARED, SharedResiduals, shared_residuals, twist_rates
 from vislam.inspection.finding import Finding, Measured, Verdict
 from vislam.inspection.motion import sample_noise
 from vislam.inspection.shared_profile import Profile, profiles
+from vislam.models.shared_errors import SIZES, UNITS, prior_name
 
 _SIGNIFICANT = 4.0
 """Standard deviations from 0 at which a parameter is found."""
@@ -45,23 +40,20 @@ class _Scale:
         themselves, which in simulated drives with a stereo-matching bias of 0.8 px moves it by that much.
     unclear : float
         Standard deviation above which nothing is said of it.
-    prior : str
-        Name of its standard deviation in the section ``noise``; empty if there is none.
     """
 
     floor: float
     unclear: float
-    prior: str = ""
 
 
 _SCALES = {
     "camera_rotation": _Scale(5e-4, 5e-3),
-    "disparity_offset": _Scale(0.03, 0.25, "disparity_offset_sigma_px"),
+    "disparity_offset": _Scale(0.03, 0.25),
     "principal_point": _Scale(0.5, 5.0),
     "focal_scale": _Scale(5e-3, 1.5e-2),
     "baseline_scale": _Scale(8e-3, 2e-2),
-    "clock": _Scale(3e-3, 1e-2, "clock_sigma"),
-    "velocity_direction": _Scale(5e-4, 5e-3, "velocity_direction_sigma"),
+    "clock": _Scale(3e-3, 1e-2),
+    "velocity_direction": _Scale(5e-4, 5e-3),
 }
 _BIASES = tuple(f"{kind} bias {axis}" for kind in ("gyro", "velocity") for axis in "xyz")
 
@@ -72,7 +64,7 @@ class Judged:
 
     Attributes
     ----------
-    parameter : SharedParameter
+    name : str
     value, sigma : (q,)
         Beside those that were found.
     verdict : str
@@ -81,7 +73,7 @@ class Judged:
         Share of the residual variance that it explains alone, and beside all others.
     """
 
-    parameter: SharedParameter
+    name: str
     value: Array
     sigma: Array
     verdict: str
@@ -93,12 +85,12 @@ class Judged:
         """Its components."""
         return tuple(
             Measured.around(
-                f"{self.parameter.name} {axis}".strip(),
-                self.parameter.unit,
+                component,
+                UNITS.get(self.name, ""),
                 float(value),
-                sigma=float(np.hypot(sigma, _SCALES[self.parameter.name].floor)),
+                sigma=float(np.hypot(sigma, _SCALES[self.name].floor)),
             )
-            for axis, value, sigma in zip(self.parameter.axes, self.value, self.sigma, strict=True)
+            for component, value, sigma in zip(_named(self.name), self.value, self.sigma, strict=True)
         )
 
 
@@ -149,37 +141,30 @@ def judge(fit: PooledFit, *, noisy: tuple[str, ...] = ()) -> tuple[list[Judged],
         Names of parameters whose derivatives are mostly noise: nothing is said of them.
     """
     columns = _columns()
-    usable = [item for item in SHARED if item.name not in noisy]
-    chosen: list[SharedParameter] = []
+    usable = [name for name in SHARED if name not in noisy]
+    chosen: list[str] = []
     while True:
-        best, most = None, 0.0
-        for item in usable:
-            if item not in chosen:
-                which = [*_of(chosen, columns), *columns[item.name]]
-                explained = fit.explained(which)
-                if explained > most and _significant(fit, which, item):
-                    best, most = item, explained
-        if best is None:
+        best, most = "", 0.0
+        for name in usable:
+            if name not in chosen:
+                explained = fit.explained(_of([*chosen, name], columns))
+                if explained > most and _significant(fit, [*chosen, name], columns):
+                    best, most = name, explained
+        if not best:
             break
         chosen.append(best)
-    everything = _of(usable, columns)
-    all_explain = fit.explained(everything)
+    everything = fit.explained(_of(usable, columns))
     judged = []
-    for item in SHARED:
-        others = _of([one for one in chosen if one is not item], columns)
-        own = columns[item.name]
+    for name, own in columns.items():
+        others = _of([one for one in chosen if one != name], columns)
         found = fit.fit([*others, *own])
         value, sigma = found.value[len(others) :], found.sigma[len(others) :]
-        verdict = "unclear"
-        if item in chosen:
-            verdict = "found"
-        elif item in usable and np.all(sigma <= _SCALES[item.name].unclear):
+        verdict = "found" if name in chosen else "unclear"
+        if name in usable and name not in chosen and np.all(sigma <= _SCALES[name].unclear):
             verdict = "not found"
-        rest = [column for column in everything if column not in own]
-        judged.append(
-            Judged(item, value, sigma, verdict, fit.explained(own), all_explain - fit.explained(rest))
-        )
-    return judged, Together(all_explain, fit.explained(_of(chosen, columns)), _alike(fit, usable, columns))
+        rest = fit.explained(_of([one for one in usable if one != name], columns))
+        judged.append(Judged(name, value, sigma, verdict, fit.explained(own), everything - rest))
+    return judged, Together(everything, fit.explained(_of(chosen, columns)), _alike(fit, usable, columns))
 
 
 @dataclass(frozen=True)
@@ -194,26 +179,26 @@ class Together:
 def _columns() -> dict[str, list[int]]:
     """Columns of each parameter."""
     out, first = {}, 0
-    for item in SHARED:
-        out[item.name] = list(range(first, first + len(item.axes)))
-        first += len(item.axes)
+    for name, axes in SHARED.items():
+        out[name] = list(range(first, first + len(axes)))
+        first += len(axes)
     return out
 
 
-def _of(items: list[SharedParameter], columns: dict[str, list[int]]) -> list[int]:
-    return [column for item in items for column in columns[item.name]]
+def _of(names: list[str], columns: dict[str, list[int]]) -> list[int]:
+    return [column for name in names for column in columns[name]]
 
 
-def _significant(fit: PooledFit, which: list[int], item: SharedParameter) -> bool:
-    """Whether a component of the last parameter of a fit is told from 0."""
-    found, scale = fit.fit(which), _SCALES[item.name]
-    last = slice(len(which) - len(item.axes), None)
+def _significant(fit: PooledFit, names: list[str], columns: dict[str, list[int]]) -> bool:
+    """Whether a component of the last of these parameters is told from 0 beside the others."""
+    found, scale = fit.fit(_of(names, columns)), _SCALES[names[-1]]
+    last = slice(-len(columns[names[-1]]), None)
     error = np.hypot(found.sigma[last], scale.floor)
     return bool(np.any((np.abs(found.value[last]) > _SIGNIFICANT * error) & (error <= scale.unclear)))
 
 
 def _alike(
-    fit: PooledFit, usable: list[SharedParameter], columns: dict[str, list[int]]
+    fit: PooledFit, usable: list[str], columns: dict[str, list[int]]
 ) -> tuple[tuple[str, str, float], ...]:
     """Strongest pair of components of two parameters, or of one and the bias, whose estimates go together.
 
@@ -221,13 +206,12 @@ def _alike(
     """
     pairs = []
     for index, one in enumerate(usable):
-        names, here = _named(one), slice(0, len(one.axes))
-        alone = fit.fit(columns[one.name]).correlation[here, len(one.axes) :]
+        names, here = _named(one), len(columns[one])
+        alone = fit.fit(columns[one]).correlation[:here, here:]
         pairs.append(_strongest(names, _BIASES, alone))
         for other in usable[index + 1 :]:
             both = fit.fit(_of([one, other], columns)).correlation
-            there = slice(len(one.axes), len(one.axes) + len(other.axes))
-            pairs.append(_strongest(names, _named(other), both[here, there]))
+            pairs.append(_strongest(names, _named(other), both[:here, here : here + len(columns[other])]))
     return tuple(pair for pair in pairs if abs(pair[2]) > _ALIKE)
 
 
@@ -237,8 +221,9 @@ def _strongest(rows: Items[str], columns: Items[str], correlation: Array) -> tup
     return rows[int(row)], columns[int(column)], float(correlation[row, column])
 
 
-def _named(item: SharedParameter) -> list[str]:
-    return [f"{item.name} {axis}".strip() for axis in item.axes]
+def _named(name: str) -> list[str]:
+    """Components in words."""
+    return [f"{name.replace('_', ' ')}{axis}" for axis in SHARED[name]]
 
 
 def _rate_noise(sequence: Sequence, found: SharedResiduals) -> float:
@@ -257,16 +242,12 @@ def _finding(judged: list[Judged], together: Together, seen: Profile, *, priors:
     """One finding: a fault where an error is found that the configured prior does not hold."""
     found = [item for item in judged if item.verdict == "found"]
     open_ = [item for item in found if _beyond(item, priors)]
-    proposal = {
-        f"noise.{_SCALES[item.parameter.name].prior}": _prior(item)
-        for item in open_
-        if _SCALES[item.parameter.name].prior
-    }
+    proposal = {f"noise.{prior_name(item.name)}": _prior(item) for item in open_ if item.name in SIZES}
     verdict: Verdict = "fault" if open_ else "ok"
     if not found and any(item.verdict == "unclear" for item in judged):
         verdict = "unclear"
-    counts = {f"explained_by_{item.parameter.name}_alone": item.alone for item in judged}
-    counts |= {f"explained_by_{item.parameter.name}_beside_others": item.beside for item in judged}
+    counts = {f"explained_by_{item.name}_alone": item.alone for item in judged}
+    counts |= {f"explained_by_{item.name}_beside_others": item.beside for item in judged}
     counts |= {"explained_by_all": together.explained, "explained_by_found": together.by_found}
     return Finding(
         "shared errors",
@@ -280,7 +261,8 @@ def _finding(judged: list[Judged], together: Together, seen: Profile, *, priors:
 
 def _beyond(item: Judged, priors: dict[str, float]) -> bool:
     """Whether an error is more than twice its configured standard deviation."""
-    return float(np.max(np.abs(item.value))) > 2.0 * priors.get(_SCALES[item.parameter.name].prior, 0.0)
+    known = priors.get(prior_name(item.name), 0.0) if item.name in SIZES else 0.0
+    return float(np.max(np.abs(item.value))) > 2.0 * known
 
 
 def _prior(item: Judged) -> float:
@@ -295,7 +277,7 @@ def _told(judged: list[Judged], together: Together, seen: Profile) -> list[str]:
             listed = ", ".join(str(one) for one in item.measured)
             told.append(f"FOUND {listed}: {100.0 * item.alone:.1f} % of the residual variance alone")
     for verdict in ("not found", "unclear"):
-        names = [item.parameter.name for item in judged if item.verdict == verdict]
+        names = [item.name.replace("_", " ") for item in judged if item.verdict == verdict]
         if names:
             told.append(f"{verdict.upper()} {', '.join(names)}")
     told.append(
