@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             name,
             estimators=chosen,
             data_dir=options.data_dir,
-            allow_stand_in=False,
+            allow_substitute=False,
             progress=Terminal(),
         )
         record = outcome.results.record

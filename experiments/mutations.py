@@ -36,7 +36,7 @@ MUTATIONS = (
     Mutation(
         "gates_from ignored",
         "vislam/comparison/running.py",
-        "if frozen is None and name == gates_from:",
+        "if common_set is None and name == gates_from:",
         "if False:",
         ("tests/test_gates.py",),
     ),
@@ -173,7 +173,7 @@ MUTATIONS = (
         SCORES,
     ),
     Mutation(
-        "Bonferroni dropped from parting",
+        "Bonferroni dropped from the divergence",
         "vislam/evaluation/agreement.py",
         "chi2.isf(alarm / len(self.squared), 6)",
         "chi2.isf(alarm, 6)",

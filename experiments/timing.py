@@ -92,7 +92,7 @@ class Drive:
     @property
     def name(self) -> str:
         """Name of the sequence, marked where a simulation stands in for it."""
-        return self.sequence.name + (" [SIMULATED]" if self.sequence.stand_in else "")
+        return self.sequence.name + (" [SIMULATED]" if self.sequence.synthetic else "")
 
     @cached_property
     def problem(self) -> Problem:

@@ -61,7 +61,7 @@ def load_sequence(config: Config, *, data_dir: Path | None, recorded: bool) -> d
     """Open a recording or a simulation, repaired but for the tracks seen once, which count here."""
     section = config.data if recorded else _simulation_alone(config.data)
     section = replace(section, repair=replace(section.repair, single_observations=None))
-    return open_dataset(section, seed=config.seed, data_dir=data_dir, allow_stand_in=not recorded).sequence
+    return open_dataset(section, seed=config.seed, data_dir=data_dir, allow_substitute=not recorded).sequence
 
 
 def _simulation_alone(section: DataConfig) -> DataConfig:

@@ -19,7 +19,7 @@ def made_record(reference=None, *, frames=400, **values):
     imu_T_cam[:3, :3] = CAMERA_AXES
     plain = {
         "name": "drive",
-        "stand_in": True,
+        "synthetic": True,
         "digest": "",
         "notes": (),
         "counts": {},
@@ -29,7 +29,7 @@ def made_record(reference=None, *, frames=400, **values):
         "given": no_tracks(),
         "held_out": no_tracks(),
         "reference": reference,
-        "frozen": None,
+        "common_set": None,
         "provenance": {"date": "", "cpu": ""},
     }
     return Record(**{**plain, **values})

@@ -92,7 +92,7 @@ def test_a_wrong_name_is_told_with_those_that_there_are(key, estimator, message,
 
 def test_a_built_estimator_runs_like_one_that_is_named():
     config = vislam.load_config("tiny")
-    dataset = open_dataset(config.data, seed=config.seed, data_dir=None, allow_stand_in=True)
+    dataset = open_dataset(config.data, seed=config.seed, data_dir=None, allow_substitute=True)
     built = find("ekf")(make_problem(config, dataset), {})
     one, other = vislam.run(built, dataset, config=config), vislam.run("ekf", config)
     assert one.complete

@@ -340,7 +340,7 @@ def test_sound_results_fail_a_test_as_seldom_as_the_rate_says(rng):
 CHECK = {"name": "a", "convention": ""}
 DOCUMENT = {
     "name": "ci",
-    "dataset": {"name": "simulation", "digest": "abc", "stand_in": True, "reference": None},
+    "dataset": {"name": "simulation", "digest": "abc", "synthetic": True, "reference": None},
     "provenance": {"code": "123", "cpu": "some & any"},
     "runs": {"ekf": {"complete": True, "error": ""}, "isam2": {"complete": False, "error": "f \x1b[1m<9>"}},
     "metrics": [{"estimator": "ekf", "key": "total_time_s", "value": 1.25}],

@@ -1,4 +1,4 @@
-"""The frozen list: what one estimator left out, none is given."""
+"""The common observation set: what one estimator left out, none is given."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from vislam.comparison.config import Config, HeldOutConfig
 from vislam.comparison.members import members
 from vislam.comparison.open import Dataset
 from vislam.core import estimator
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.estimators.ekf import EkfEstimator
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.loop import run
@@ -56,7 +56,9 @@ def scripted(monkeypatch):
 
 def compared(config, folder, **changes):
     config = replace(config, seed=3, held_out=HeldOutConfig(share=0.0), **changes)
-    return compare(config, out=folder, data_dir=None, allow_stand_in=True, progress=Terminal(), report=False)
+    return compare(
+        config, out=folder, data_dir=None, allow_substitute=True, progress=Terminal(), report=False
+    )
 
 
 def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config: Config, tmp_path):
@@ -82,8 +84,12 @@ def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config:
     # What is left of a track that is seen once says nothing of the motion.
     listed = alone.used & short.sequence.seen_again(alone.used)
     assert np.array_equal(outcome.results.runs["whole"].used, listed)
-    assert np.array_equal(outcome.results.record.frozen.kept, listed)
-    assert outcome.results.record.frozen.not_fused(outcome.results.runs) == {"whole": 0, "picky": 0, "ekf": 0}
+    assert np.array_equal(outcome.results.record.common_set.kept, listed)
+    assert outcome.results.record.common_set.not_fused(outcome.results.runs) == {
+        "whole": 0,
+        "picky": 0,
+        "ekf": 0,
+    }
     # Nobody gates on the list; off it, all is as the config says.
     assert outcome.results.runs["whole"].log.events == ("gate 1.0",)
     assert outcome.results.runs["free"].log.events == (f"gate {short_config.gate_probability}",)
@@ -92,21 +98,21 @@ def test_what_one_refused_no_other_fuses(scripted, short: Dataset, short_config:
 
 def test_the_list_has_a_name_of_its_own(short: Dataset):
     kept = np.arange(short.sequence.observations) % 5 > 0
-    frozen = FrozenList.of(short.sequence, kept, by=("ekf",))
-    assert len(frozen.digest) == 12
-    assert FrozenList.of(short.sequence, kept.copy(), by=("ekf",)).digest == frozen.digest
+    common_set = CommonSet.of(short.sequence, kept, by=("ekf",))
+    assert len(common_set.digest) == 12
+    assert CommonSet.of(short.sequence, kept.copy(), by=("ekf",)).digest == common_set.digest
     fewer = kept.copy()
     fewer[np.flatnonzero(kept)[-1]] = False
-    assert FrozenList.of(short.sequence, fewer, by=("ekf",)).digest != frozen.digest
+    assert CommonSet.of(short.sequence, fewer, by=("ekf",)).digest != common_set.digest
     other = replace(short.sequence, digest="another recording")
-    assert FrozenList.of(other, kept, by=("ekf",)).digest != frozen.digest
+    assert CommonSet.of(other, kept, by=("ekf",)).digest != common_set.digest
     # The same observations, when a repair has dropped others already.
     dropped = short.sequence.select(kept)
-    same = FrozenList.of(dropped, np.ones(dropped.observations, bool), by=("ekf",))
-    assert same.digest == frozen.digest
+    same = CommonSet.of(dropped, np.ones(dropped.observations, bool), by=("ekf",))
+    assert same.digest == common_set.digest
 
 
-RUNGS = """
+CHAIN = """
 common_set_from: [ekf, isam2]
 gate_probability: 0.9
 estimators:
@@ -119,24 +125,25 @@ ablation_chain: {dead_reckoning: inertial samples, ekf: the camera, isam2: smoot
 
 
 @pytest.mark.slow
-def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, capsys):
-    config = config_file(tmp_path / "rungs.yaml", f"extends: {TINY}\nname: rungs\n{RUNGS}")
+def test_the_command_reports_set_and_chain_and_a_rerun_has_the_same(tmp_path, capsys):
+    config = config_file(tmp_path / "steps.yaml", f"extends: {TINY}\nname: steps\n{CHAIN}")
     documents = []
     for out in ("one", "two"):
         assert main(["--config", config, "--out", str(tmp_path / out)]) == 0
         (folder,) = (tmp_path / out).iterdir()
         documents.append(json.loads((folder / "metrics.json").read_text()))
-    frozen = documents[0]["dataset"]["frozen"]
-    assert frozen == documents[1]["dataset"]["frozen"]
-    assert frozen["by"] == ["ekf", "isam2"]
-    assert 0 < frozen["kept"] < frozen["of"]
+    common_set = documents[0]["dataset"]["common_set"]
+    assert common_set == documents[1]["dataset"]["common_set"]
+    assert common_set["by"] == ["ekf", "isam2"]
+    assert 0 < common_set["kept"] < common_set["of"]
     runs = documents[0]["runs"]
-    assert runs["dead_reckoning"]["listed_not_fused"] == frozen["kept"]
+    assert runs["dead_reckoning"]["listed_not_fused"] == common_set["kept"]
     assert runs["ekf"]["listed_not_fused"] == 0
     assert runs["ekf_all"]["listed_not_fused"] is None
     assert runs["ekf"]["events"] == []
     page = (folder / "report.html").read_text()
-    said = f"Common observation set {frozen['digest']}: {frozen['kept']} of {frozen['of']} observations, "
+    kept, of = common_set["kept"], common_set["of"]
+    said = f"Common observation set {common_set['digest']}: {kept} of {of} observations, "
     said += "which ekf"
     assert said in capsys.readouterr().out
     assert said in page
@@ -146,11 +153,11 @@ def test_the_command_tells_list_and_ladder_and_a_rerun_has_the_same(tmp_path, ca
         for m in documents[0]["metrics"]
         if (m["key"], m["estimate"]) == ("ate_rmse", "filtered")
     }
-    rungs = documents[0]["attribution"]
-    assert [rung["run"] for rung in rungs] == ["dead_reckoning", "ekf", "isam2"]
-    assert rungs[2]["filtered_change"] == value["isam2"] - value["ekf"]
+    steps = documents[0]["attribution"]
+    assert [step["run"] for step in steps] == ["dead_reckoning", "ekf", "isam2"]
+    assert steps[2]["filtered_change"] == value["isam2"] - value["ekf"]
     assert "<td>the camera</td>" in page
-    assert f"<td>{rungs[2]['filtered_change']:+.2f}</td>" in page
+    assert f"<td>{steps[2]['filtered_change']:+.2f}</td>" in page
 
 
 def test_a_filter_takes_a_gate_of_one_for_none(short: Dataset, short_config: Config):
@@ -206,11 +213,11 @@ def test_by_default_a_consistent_filter_makes_the_list_for_all(scripted, short_c
     del scripted
     default = replace(short_config, common_set_from=Config.__dataclass_fields__["common_set_from"].default)
     outcome = compared(default, tmp_path, estimators={"whole": {}, "ekf": {}, "isam2": {}})
-    frozen = outcome.results.record.frozen
-    assert frozen.by == ("ekf_invariant",)
+    common_set = outcome.results.record.common_set
+    assert common_set.by == ("ekf_invariant",)
     for name in ("whole", "ekf"):
-        assert np.array_equal(outcome.results.runs[name].used, frozen.kept)
-    assert np.mean(outcome.results.runs["isam2"].used[frozen.kept]) > 0.99
+        assert np.array_equal(outcome.results.runs[name].used, common_set.kept)
+    assert np.mean(outcome.results.runs["isam2"].used[common_set.kept]) > 0.99
 
 
 def test_a_default_list_that_cannot_be_made_stops_nothing(monkeypatch, short_config, tmp_path):
@@ -224,5 +231,5 @@ def test_a_default_list_that_cannot_be_made_stops_nothing(monkeypatch, short_con
     monkeypatch.setattr(EkfEstimator, "process", failing)
     default = replace(short_config, common_set_from=Config.__dataclass_fields__["common_set_from"].default)
     outcome = compared(default, tmp_path, estimators={"ekf": {}})
-    assert outcome.results.record.frozen is None
+    assert outcome.results.record.common_set is None
     assert outcome.results.runs["ekf"].complete

@@ -155,7 +155,7 @@ STEPS = [
     ("pose_cov", skewed(), "symmetric"),
     ("pose_cov", np.diag([np.nan] + [1.0] * 5), "finite"),
     ("pose_cov", np.full((6, 6), np.inf), "finite"),
-    ("world_gained", np.zeros(5), "got (5,)"),
+    ("spurious_information", np.zeros(5), "got (5,)"),
     ("nis", None, "real numbers"),
     ("nis", -5.0, "at least 0"),
     ("nis", np.nan, "finite"),

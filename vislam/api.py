@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, overload
 
 from vislam.base.errors import ConfigError
+from vislam.base.former import metric_key, note
 from vislam.base.shipped import find_config
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class Outcome:
         """
         if estimator not in self.runs:
             raise ConfigError(f"no run {estimator!r}; there are {', '.join(self.runs)}")
-        value = self.evaluation.value(estimator, key, estimate)
+        value = self.evaluation.value(estimator, metric_key(key), estimate)
         if value is None:
             keys = ", ".join(self.evaluation.keys(estimator, estimate))
             of = "" if estimate is None else f" of its {estimate} poses"
@@ -183,7 +184,7 @@ def compare(
     *,
     estimators: Several[str] | None = None,
     data_dir: Path | str | None = None,
-    allow_stand_in: bool = True,
+    allow_substitute: bool = True,
     progress: "Progress | None" = None,
     **overrides: Any,
 ) -> Outcome:
@@ -197,7 +198,7 @@ def compare(
         In place of the config's.
     data_dir : Path or str, optional
         First folder to look for data.
-    allow_stand_in : bool
+    allow_substitute : bool
         Whether a missing recording is simulated, which the results then say.
     progress : Progress, optional
         Takes notes and how far it is; ``vislam.cli.console.Terminal()`` prints them.
@@ -222,12 +223,15 @@ def compare(
     from vislam.comparison import config as configuration  # noqa: PLC0415
     from vislam.comparison.compare import run_comparison  # noqa: PLC0415
 
+    if "allow_stand_in" in overrides:
+        note({"allow_stand_in": "allow_substitute"}, "compare")
+        allow_substitute = bool(overrides.pop("allow_stand_in"))
     loaded = load_config(config, **overrides)
     if estimators is not None:
         chosen = {name: loaded.estimators.get(name, {}) for name in estimators}
         loaded = configuration.with_estimators(loaded, chosen)
     dataset = _opened(
-        loaded, config, data_dir=data_dir, allow_stand_in=allow_stand_in, held_out=loaded.held_out
+        loaded, config, data_dir=data_dir, allow_substitute=allow_substitute, held_out=loaded.held_out
     )
     results = run_comparison(loaded, dataset, Silent() if progress is None else progress)
     return Outcome(results, evaluate(results))
@@ -275,7 +279,7 @@ def run(
         loaded, dataset = load_config(config), data
     else:
         loaded = load_config(data)
-        dataset = _opened(loaded, data, data_dir=None, allow_stand_in=True)
+        dataset = _opened(loaded, data, data_dir=None, allow_substitute=True)
     name = estimator if isinstance(estimator, str) else type(estimator).__name__
     if isinstance(estimator, str):
         estimator = find(estimator)(make_problem(loaded, dataset), dict(options or {}))
@@ -397,7 +401,7 @@ def inspect(data: "Sequence | Config | str | Path") -> "Inspection":
         return inspect_sequence(data, parse(Config, bare_tree("inspection", f"{data.name}.npz")))
     loaded = load_config(data)
     raw = replace(loaded, data=unrepaired(loaded).data)
-    return inspect_sequence(_opened(raw, data, data_dir=None, allow_stand_in=True).sequence, loaded)
+    return inspect_sequence(_opened(raw, data, data_dir=None, allow_substitute=True).sequence, loaded)
 
 
 def _opened(
@@ -405,7 +409,7 @@ def _opened(
     given: Any,
     *,
     data_dir: Path | str | None,
-    allow_stand_in: bool,
+    allow_substitute: bool,
     held_out: "HeldOutConfig | None" = None,
 ) -> "Dataset":
     from vislam.comparison.open import open_dataset  # noqa: PLC0415
@@ -416,6 +420,6 @@ def _opened(
         seed=loaded.seed,
         data_dir=None if data_dir is None else Path(data_dir),
         config_dir=None if path is None else path.parent,
-        allow_stand_in=allow_stand_in,
+        allow_substitute=allow_substitute,
         held_out=held_out,
     )

@@ -77,7 +77,7 @@ def check_estimator(
         noise=NoiseConfig(pixel_sigma_px=simulation.pixel_sigma_px),
         seed=seed,
     )
-    dataset = open_dataset(config.data, seed=seed, data_dir=None, allow_stand_in=True)
+    dataset = open_dataset(config.data, seed=seed, data_dir=None, allow_substitute=True)
     whole = _run(build, options, config, dataset)
     again = _run(build, options, config, dataset)
     _refuse_other("two runs over the same drive differ", whole, again, frames=frames)

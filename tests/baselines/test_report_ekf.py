@@ -69,7 +69,7 @@ def test_mended_it_equals_the_filter_on_recorded_data(monkeypatch, name: str):
     config = plain_motion(configuration.load(CONFIGS / f"{name}.yaml"))
     recorded(config.data.file)
     monkeypatch.setattr(noise, "_SMALLEST_BIAS_PX", 1e-9)
-    dataset = open_dataset(config.data, seed=0, allow_stand_in=False)
+    dataset = open_dataset(config.data, seed=0, allow_substitute=False)
     same(filtered(config, dataset, **MENDED), ours(config, dataset), within=1e-6)
 
 
@@ -191,7 +191,7 @@ def test_an_unknown_option_is_named():
 def test_on_the_reports_data_it_fails_as_it_did_there():
     config = configuration.load(CONFIGS / "report_ds3.yaml")
     recorded(config.data.file)
-    dataset = open_dataset(config.data, seed=0, allow_stand_in=False)
+    dataset = open_dataset(config.data, seed=0, allow_substitute=False)
     lengths = {}
     for name in ("report_ekf", "report_ekf_slowed"):
         options = {key: value for key, value in config.estimators[name].items() if key != "estimator"}

@@ -60,7 +60,7 @@ def simulated(seed: int, *, frames: int, tracks: float = 25.0, **changes) -> Dat
         track=np.empty(0, np.int64),
         pixels=np.empty((0, 4)),
         row=np.empty(0, np.int64),
-        stand_in=True,
+        synthetic=True,
     )
     mean = Clock(offset=CLOCK).apply(nothing).step_means()[0][1:] - BIAS
     noise = np.sqrt(config.period) * density * generator.standard_normal(mean.shape)

@@ -141,7 +141,7 @@ def test_processes_side_by_side_find_the_same(small, capsys):
 
 
 @pytest.mark.slow
-def test_a_stand_in_for_a_missing_recording_is_said(capsys):
+def test_a_substitute_for_a_missing_recording_is_reported(capsys):
     short = ["--set", "data.simulation.frames=10", "--set", "data.simulation.tracks_in_view=15"]
     assert calibrated(DS3, *short, *FEW) == 0
     assert capsys.readouterr().out.startswith("SIMULATED: synthetic substitute for 03.npz")

@@ -105,7 +105,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert names == wanted
     document = json.loads((folder / "metrics.json").read_text())
     assert document["schema_version"] == 2
-    assert document["dataset"]["stand_in"] is True
+    assert document["dataset"]["synthetic"] is True
     assert document["dataset"]["reference"] == "truth"
     value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}
     for estimator in ("dead_reckoning", "ekf", "isam2"):
@@ -170,7 +170,7 @@ def test_a_recorded_file_is_read_and_its_missing_reference_is_said(tmp_path, cap
     assert main(["--config", config, "--data-dir", str(tmp_path), "--estimators", "ekf", "--no-report"]) == 0
     assert "no.txt not found" in capsys.readouterr().out
     document = json.loads(next((tmp_path / "results").rglob("metrics.json")).read_text())
-    assert document["dataset"]["stand_in"] is False
+    assert document["dataset"]["synthetic"] is False
     assert document["dataset"]["reference"] is None
 
 
@@ -200,7 +200,7 @@ def test_a_failed_estimator_gives_1_and_keeps_what_it_had_done(tmp_path, capsys,
 
 
 def test_a_missing_recording_is_simulated_unless_that_is_refused(capsys):
-    assert main(["--config", DS3, "--no-stand-in", "--out", "out"]) == 2
+    assert main(["--config", DS3, "--no-substitute", "--out", "out"]) == 2
     message = capsys.readouterr().err
     assert "03.npz: not found in " in message
     assert ", ., data, " in message
@@ -366,7 +366,7 @@ def test_the_recorded_drives_are_as_accurate_as_promised(name, file, limits, tmp
     folder = recorded(file).parent
     config = str(ROOT / "configs" / f"{name}.yaml")
     chosen = ",".join(["dead_reckoning", *limits])
-    asked = ["--config", config, "--estimators", chosen, "--data-dir", str(folder), "--no-stand-in"]
+    asked = ["--config", config, "--estimators", chosen, "--data-dir", str(folder), "--no-substitute"]
     assert main([*asked, "--no-report", "--out", "out"]) == 0
     document = json.loads(next((tmp_path / "out").rglob("metrics.json")).read_text())
     value = {(m["estimator"], m["key"]): m["value"] for m in document["metrics"]}

@@ -39,7 +39,7 @@ def test_it_says_writes_and_proposes(tmp_path, capsys):
     assert "FAULT   duplicated tracks" in said
     assert "FAULT   axes and extrinsic" in said
     document = json.loads((out / "inspection.json").read_text())
-    assert document["stand_in"] is True
+    assert document["synthetic"] is True
     assert document["proposal"]["data.repair.duplicated_tracks"] is True
     assert sorted(path.name for path in out.glob("*.png")) == ["checks.png", "motion.png", "tracks.png"]
     repaired = configuration.load(proposed).data.repair

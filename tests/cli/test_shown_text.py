@@ -51,13 +51,13 @@ def truth():
     assert simulate.main(["--config", "t.yaml", "--out", "drive.npz"]) == 0
 
 
-def config(name, *, reference="r", limits="none", ladder=None):
+def config(name, *, reference="r", limits="none", chain=None):
     given = {"file": "drive_truth.tum", "format": "tum", "name": reference, "limits": limits}
     tree = {
         "name": name,
         "data": {"file": "drive.npz", "reference": given},
         "estimators": {"dead_reckoning": {}, "_mine": {"estimator": "dead_reckoning"}},
-        "ablation_chain": ladder or {},
+        "ablation_chain": chain or {},
     }
     Path("c.yaml").write_text(yaml.safe_dump(tree))
     return ["--config", "c.yaml", "--out", "out", "--junit", "j.xml"]
@@ -90,15 +90,17 @@ def test_a_name_of_any_letters_is_shown_as_it_is(case, truth, capsys):
 @pytest.mark.parametrize("case", ["markup", "mathematics", "tags", "terminal", "underscore"])
 def test_a_report_shows_any_letters_as_they_are(case, truth):
     name = EVIL[case]
-    ladder = {"dead_reckoning": name, "_mine": name}
-    assert compare.main(config(name, reference=name, limits=name, ladder=ladder)) == 0
+    chain = {"dead_reckoning": name, "_mine": name}
+    assert compare.main(config(name, reference=name, limits=name, chain=chain)) == 0
     (page,) = Path("out").glob("*/report.html")
     text = page.read_text(encoding="utf-8")
     assert "\x1b" not in text
     assert "<script>alert" not in text
     if name.isprintable():
         assert escape(name, quote=False) in text.replace("&#39;", "'")
-    assert {"top_view.svg", "ladder.svg"} <= {path.name for path in (page.parent / "figures").iterdir()}
+    assert {"top_view.svg", "ablation_chain.svg"} <= {
+        path.name for path in (page.parent / "figures").iterdir()
+    }
 
 
 @pytest.mark.parametrize("case", ["markup", "mathematics", "terminal"])

@@ -39,7 +39,7 @@ def test_samples_of_constant_twist_keep_every_step(rng):
 def test_the_tracks_are_read_in_our_conventions(quick):
     sequence, reference = gtsam_stereo.load_kitti00(gyro_sigma=0.0, velocity_sigma=0.0, seed=0)
     assert (len(sequence), sequence.observations, len(np.unique(sequence.track))) == (135, 88_781, 26_136)
-    assert not sequence.stand_in
+    assert not sequence.synthetic
     # The files state each observation's point in the camera as well.
     table, _ = read_table(gtsam_stereo._file("VO_stereo_factors00.txt"), columns=8)
     given = table[np.lexsort((table[:, 1], table[:, 0]))]

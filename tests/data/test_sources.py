@@ -116,7 +116,7 @@ def test_a_simulation_is_a_source_like_others(caplog):
     plain = open_dataset(data(simulation=settings), seed=3)
     assert np.array_equal(named.sequence.pixels, plain.sequence.pixels)
     assert np.array_equal(named.reference.points_world, plain.reference.points_world)
-    assert named.sequence.stand_in
+    assert named.sequence.synthetic
     assert len(named.reference.track) == len(np.unique(named.sequence.track))
 
 

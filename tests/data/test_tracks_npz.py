@@ -140,7 +140,7 @@ def test_what_is_written_is_read_again(tmp_path, short):
         assert np.array_equal(getattr(found.sequence, name), getattr(raw, name)[by_id]), name
     assert np.allclose(found.reference.pose, reference.pose, atol=1e-12)
     assert np.array_equal(found.points_world, recording.points_world[by_id])
-    assert found.sequence.stand_in
+    assert found.sequence.synthetic
     assert found.notes[0].startswith("SIMULATED")
     first = (tmp_path / "a.npz").read_bytes()
     write_tracks_npz(tmp_path / "a.npz", recording)

@@ -136,7 +136,7 @@ def test_a_wrong_way_back_is_caught(short: Dataset, short_config: Config, monkey
 def test_it_is_exact_on_the_recording(options):
     """The first 100 frames of 03.npz, one track in eight, so that the dense filter can keep them all."""
     config = plain_motion(load(CONFIGS / "ds3.yaml"))
-    dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_stand_in=False)
+    dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_substitute=False)
     sequence = first_frames(dataset.sequence, 100)
     dataset = replace(dataset, sequence=sequence.select(sequence.track % 8 == 0))
     smoothed, dense, _ = both(dataset, config, **options)

@@ -23,7 +23,7 @@ def gained(dataset, config, **options):
     solver = EkfEstimator(make_problem(config, dataset), EkfOptions(**options))
     run = loop.run(solver, dataset.sequence, pixel_sigma(config, dataset), name="ekf")
     assert run.complete
-    return run.innovations.world_gained.sum(axis=0)
+    return run.innovations.spurious_information.sum(axis=0)
 
 
 @pytest.mark.parametrize("landmarks", ["point", "anchored_uvd"])

@@ -260,19 +260,3 @@ def test_pose_and_climbed_height_meet_where_their_variances_say(short_config: Co
     estimator._measure(state, next(iter(dataset.sequence.frames(pixel_sigma(config, dataset)))))
     assert state.world_T_imu[2, 3] == pytest.approx(0.25, abs=1e-3)
     assert state.nav[height] == pytest.approx(0.25, abs=1e-3)
-
-
-def test_former_options_are_accepted_and_noted(short: Dataset, short_config: Config, caplog):
-    problem = make_problem(short_config, short)
-    former = {"finished": "as_left", "error": "first_estimates", "landmarks": "disparity"}
-    built = find("ekf")(problem, former)
-    assert built._options == EkfOptions(
-        marginalised_landmarks="filtered", error="fej", landmarks="anchored_uvd"
-    )
-    (line,) = caplog.messages
-    assert line.startswith("estimators.ekf: finished is now called marginalised_landmarks")
-    assert "error: first_estimates is now called fej" in line
-    with pytest.raises(ConfigError, match="finished is the former name of marginalised_landmarks"):
-        find("ekf")(problem, {"finished": "as_left", "marginalised_landmarks": "smoothed"})
-    smoother = {"start_clearance": 4.0, "max_waiting_views": 9, "max_rescues": 3}
-    assert find("isam2")(problem, smoother)._options.initialisation_snr == 4.0

@@ -43,7 +43,7 @@ def test_independent_consistent_runs_are_one_apart_and_do_not_part(rng):
     found = agreement(*pair(rng))
     assert found.per_freedom == pytest.approx(1.0, abs=0.15)
     assert found.share_beyond() == pytest.approx(0.05, abs=0.04)
-    assert found.parting() is None
+    assert found.divergence() is None
     assert np.array_equal(found.frame, np.arange(1, FRAMES))
 
 
@@ -126,33 +126,33 @@ def test_the_distance_is_that_of_both_covariances_at_the_first_pose(rng):
 
 
 @pytest.mark.parametrize("frames", [50, 1000])
-def test_the_bound_of_parting_is_shared_out_over_the_frames(rng, frames):
+def test_the_bound_of_divergence_is_shared_out_over_the_frames(rng, frames):
     """Errors that stay, as those of a pose do, are beyond the bound of one frame in one drive of many."""
     alarm = 0.01
     made = Agreement(("filtered", "filtered"), *(np.arange(frames), *[np.empty(0)] * 4))
     level = chi2.isf(alarm / frames, 6)
     for share, expected in ((0.999, None), (1.001, 0)):
-        assert replace(made, squared=np.full(frames, share * level)).parting(alarm) == expected
+        assert replace(made, squared=np.full(frames, share * level)).divergence(alarm) == expected
 
 
 def test_runs_part_where_one_goes_astray_for_good(rng):
     one, other = pair(rng)
     astray = other.final.world_T_imu.copy()
     astray[200:] = astray[200:] @ se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))
-    assert agreement(one, altered(other, world_T_imu=astray)).parting() == 200
-    # One bad pose is no parting.
+    assert agreement(one, altered(other, world_T_imu=astray)).divergence() == 200
+    # One bad pose is no divergence.
     astray = other.final.world_T_imu.copy()
     astray[200] = astray[200] @ se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))
     found = agreement(one, altered(other, world_T_imu=astray))
     assert found.squared[199] > 100.0
-    assert found.parting() is None
+    assert found.divergence() is None
 
 
 def test_a_planted_swap_of_the_tangent_order_is_seen(rng):
     one, other = pair(rng)
     order = [3, 4, 5, 0, 1, 2]
     swapped = [altered(run, cov=run.final.covariances[:, order][:, :, order]) for run in (one, other)]
-    assert agreement(*swapped).parting() is not None
+    assert agreement(*swapped).divergence() is not None
     assert agreement(*swapped).per_freedom > 2.0
 
 

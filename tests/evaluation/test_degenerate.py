@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.evaluation.test_evaluation import circle, made_run, of_truth
 from tests.records import made_record
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.record import Tracks
 from vislam.core.trajectory import Poses
 from vislam.evaluation import evaluate
@@ -72,11 +72,11 @@ def test_one_that_fused_next_to_nothing_is_marked(fused, marked):
 
 def test_what_was_not_on_the_list_counts_for_nothing():
     truth = circle()
-    listed = FrozenList(("a",), (), np.arange(OBSERVATIONS) < 40, "")
-    assert degeneracies(run_of(truth, fused=40), record_of(truth, frozen=listed)) == ()
-    assert degeneracies(run_of(truth, fused=1), record_of(truth, frozen=listed))
+    listed = CommonSet(("a",), (), np.arange(OBSERVATIONS) < 40, "")
+    assert degeneracies(run_of(truth, fused=40), record_of(truth, common_set=listed)) == ()
+    assert degeneracies(run_of(truth, fused=1), record_of(truth, common_set=listed))
     exempt = replace(listed, exempt=("a",))
-    assert degeneracies(run_of(truth, fused=40), record_of(truth, frozen=exempt))
+    assert degeneracies(run_of(truth, fused=40), record_of(truth, common_set=exempt))
 
 
 @settings(max_examples=60, deadline=None)

@@ -12,7 +12,7 @@ from vislam.comparison.compare import make_problem, run_comparison
 from vislam.comparison.config import Config, DataConfig, load
 from vislam.comparison.members import members
 from vislam.comparison.open import open_dataset
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.run import Innovations, Run
 from vislam.core.trajectory import Poses
 from vislam.evaluation.information import shared_information, unequal_line
@@ -38,11 +38,11 @@ def made(name, *, used=None, blind=False, **information):
 
 
 def listed(exempt=()):
-    return FrozenList(("ekf_invariant",), exempt, np.ones(N, bool), "x")
+    return CommonSet(("ekf_invariant",), exempt, np.ones(N, bool), "x")
 
 
-def differs(*runs, frozen):
-    (found,) = shared_information({run.name: run for run in runs}, frozen)
+def differs(*runs, common_set):
+    (found,) = shared_information({run.name: run for run in runs}, common_set)
     assert found.equal == (not found.differs)
     return list(found.differs)
 
@@ -54,14 +54,14 @@ def left_out(count):
 
 
 def test_the_same_is_the_same_and_a_blind_run_is_in_no_pair():
-    assert differs(made("a"), made("b"), frozen=listed()) == []
-    assert differs(made("a"), made("b", used=left_out(10)), frozen=listed()) == []
+    assert differs(made("a"), made("b"), common_set=listed()) == []
+    assert differs(made("a"), made("b", used=left_out(10)), common_set=listed()) == []
     assert shared_information({"a": made("a"), "d": made("d", blind=True)}, listed()) == []
     assert unequal_line(shared_information({"a": made("a"), "b": made("b")}, listed())) == ""
 
 
 @pytest.mark.parametrize(
-    ("other", "frozen", "said"),
+    ("other", "common_set", "said"),
     [
         (made("b", used=left_out(11)), listed(), "b left out 1.1 % of the common observations"),
         (made("b"), listed(exempt=("b",)), "b was given all observations"),
@@ -75,9 +75,9 @@ def test_the_same_is_the_same_and_a_blind_run_is_in_no_pair():
     ],
     ids=["observations", "exempt", "no list", "kernel", "silent"],
 )
-def test_a_planted_difference_is_named(other, frozen, said):
-    assert differs(made("a"), other, frozen=frozen) == [said]
-    pairs = shared_information({"a": made("a"), "b": other}, frozen)
+def test_a_planted_difference_is_named(other, common_set, said):
+    assert differs(made("a"), other, common_set=common_set) == [said]
+    pairs = shared_information({"a": made("a"), "b": other}, common_set)
     assert unequal_line(pairs) == f"Information was not equal: a and b ({said})."
 
 
@@ -98,7 +98,7 @@ def test_the_headline_configs_pose_one_problem_to_all(name):
     short = replace(short, data=replace(short.data, repair=replace(short.data.repair, consensus=None)))
     dataset = open_dataset(short.data, seed=1)
     results = run_comparison(_without_climb(short), dataset, Silent())
-    assert results.record.frozen is not None
+    assert results.record.common_set is not None
     for pair in results.shared_information():
         assert pair.equal, pair
 

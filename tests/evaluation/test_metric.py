@@ -34,7 +34,7 @@ def test_no_metric_is_made_up(computed):
         "coverage_90_position_aligned",
         "kitti_t_rel",
         "kitti_r_rel",
-        "yaw_information_gained",
+        "spurious_yaw_information",
         *(key for key in METRICS if key.startswith("bound_")),
         # Of other covariances than the estimator's own.
         *(key for key in METRICS if key.endswith(BESIDE)),

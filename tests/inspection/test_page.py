@@ -28,7 +28,7 @@ SERIES = {
 def text(tmp_path_factory):
     folder = tmp_path_factory.mktemp("inspection")
     result = Inspection(EVIL, FINDINGS, SERIES)
-    return write_inspection(folder, result, stand_in=True, config=f"name: {EVIL}").read_text("utf-8")
+    return write_inspection(folder, result, synthetic=True, config=f"name: {EVIL}").read_text("utf-8")
 
 
 def test_the_page_is_whole_safe_and_fetches_nothing(text):

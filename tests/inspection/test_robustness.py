@@ -114,7 +114,7 @@ def look_at(sequence, folder):
     result = inspect_sequence(sequence, config)
     assert {finding.verdict for finding in result.findings} <= VERDICTS
     assert len({finding.check for finding in result.findings}) == len(result.findings)
-    write_inspection(folder, result, stand_in=False)
+    write_inspection(folder, result, synthetic=False)
     json.loads((folder / "inspection.json").read_text(), parse_constant=pytest.fail)
     target = folder / "written.yaml"
     target.write_text(proposed_config(TREE, result, folders=[], written_to=target))

@@ -24,7 +24,7 @@ def comparison(folder, *, day, error, name="ds3", commit="a" * 40, noise=0.5):
     document = {
         "schema_version": 2,
         "name": name,
-        "dataset": {"name": "03", "stand_in": False, "digest": "d", "reference": "truth"},
+        "dataset": {"name": "03", "synthetic": False, "digest": "d", "reference": "truth"},
         "runs": {"ekf": {"complete": True}, "isam2": {"complete": True}},
         "provenance": {"date": f"2026-11-{day:02} 10:00 UTC", "commit": commit, "code": "c1"},
         "metrics": [
@@ -58,7 +58,7 @@ def results(tmp_path):
     seen = tmp_path / "inspection"
     seen.mkdir()
     findings = [{"check": "clock", "verdict": "fault"}, {"check": "stamps", "verdict": "ok"}]
-    inspection = {"schema_version": 1, "name": "03", "stand_in": True, "findings": findings}
+    inspection = {"schema_version": 1, "name": "03", "synthetic": True, "findings": findings}
     (seen / "inspection.json").write_text(json.dumps(inspection))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "metrics.json").write_text('{"accuracy": 1}')

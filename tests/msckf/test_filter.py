@@ -92,7 +92,8 @@ def test_observations_are_fused_with_their_track(short, short_config):
 
 def test_only_the_standard_form_gains_information_about_the_world(short, short_config):
     gained = {
-        form: made(short_config, short, error=form).innovations.world_gained.sum(axis=0) for form in FORMS
+        form: made(short_config, short, error=form).innovations.spurious_information.sum(axis=0)
+        for form in FORMS
     }
     assert (gained["standard"] > 1e-3).all()
     assert (gained["fej"] < 1e-9).all()

@@ -45,7 +45,7 @@ class Tiny:
             runs=self.runs,
             record=replace(record, notes=(), provenance={"code": "1234"}),
             evaluation=self.evaluation,
-            rungs=(),
+            steps=(),
             figures=all_figures(shown),
             scene=scene_data(shown),
             travelled=shown.travelled(),

@@ -82,8 +82,9 @@ def test_every_id_stands_once_and_every_link_and_reference_finds_one(text, eleme
 
 def test_every_figure_is_drawn_once_and_says_what_it_shows(elements):
     found = [figure["id"].removeprefix("figure-") for figure in elements.all("figure")]
-    # There are no ladder, lags and bound; thirty frames are too few for the whiteness, isam2 claims nothing.
-    lacking = ("ladder", "lag", "bound", "parting", "whiteness", "distances")
+    # There are no ablation chain, lags and bound; thirty frames are too few for the whiteness, isam2 claims
+    # nothing.
+    lacking = ("ablation", "lag", "bound", "divergence", "whiteness", "distances")
     assert found == [name for name in figure_names() if name.partition("_")[0] not in lacking]
     drawn = elements.all("svg")
     assert len(drawn) == len(found)
@@ -157,7 +158,7 @@ def test_names_and_notes_are_text_whatever_they_hold(tiny, tmp_path):
         figures=all_figures(shown),
         scene=scene_data(shown),
         checks=[(None, EVIL)],
-        frozen=EVIL,
+        common_set=EVIL,
         config=EVIL,
     )
     assert "<script>alert" not in text

@@ -217,7 +217,7 @@ def test_scalars_are_where_the_run_has_them(written):
 
 
 def test_the_text_says_what_the_pictures_do_not(written):
-    notes = ("03.npz is missing: this is a stand-in",)
+    notes = ("03.npz is missing: this is a synthetic substitute",)
     run = altered(bare_run("late", circle(FRAMES)), error="lost at frame 39")
     read = written({"late": run}, far_reference(circle(FRAMES)), notes=notes, provenance={"cpu": "abacus"})
     ((text,),) = read.column("/about", "TextDocument:text")
@@ -230,7 +230,7 @@ def test_the_text_says_what_the_pictures_do_not(written):
         assert said in text
     assert "survey (exact)" in text
     assert "cpu: abacus" in text
-    recorded = written({"late": run}, None, stand_in=False)
+    recorded = written({"late": run}, None, synthetic=False)
     ((text,),) = recorded.column("/about", "TextDocument:text")
     assert "imulated" not in text.lower()
 

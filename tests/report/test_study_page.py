@@ -77,10 +77,10 @@ def test_what_else_speaks_for_consistency_is_a_column_where_there_is_any():
     assert plain.header[-1] == "errors within 3 sigma"
     records = study({})
     for item in records:
-        for key, value in (("nis_per_dof", 1.25), ("yaw_information_gained", 1e-9 * 10.0 ** item["seed"])):
+        for key, value in (("nis_per_dof", 1.25), ("spurious_yaw_information", 1e-9 * 10.0 ** item["seed"])):
             item["metrics"].append({"estimator": "ekf", "key": key, "value": value})
     table = consistency_table(Trials.of_records(records))
-    assert table.header[-2:] == ["NIS per degree of freedom", "yaw information gained [1/rad²]"]
+    assert table.header[-2:] == ["NIS per degree of freedom", "spurious yaw information [1/rad²]"]
     ekf, isam2 = table.rows
     assert ekf[-2].startswith("1.25 ")
     # The median of 1e-9 to 1e2, not the mean that the last one rules.

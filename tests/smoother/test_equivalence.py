@@ -35,7 +35,7 @@ def test_isam2_that_relinearises_to_the_end_equals_batch():
 @pytest.mark.slow
 def test_isam2_that_relinearises_to_the_end_equals_batch_on_the_recording():
     config = load(CONFIGS / "ds3.yaml")
-    dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_stand_in=False)
+    dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_substitute=False)
     dataset = replace(dataset, sequence=first_frames(dataset.sequence, 300))
     incremental = member("isam2", config, dataset, final_iterations=20)
     batch = member("batch", config, dataset)

@@ -13,7 +13,7 @@ from vislam.base.progress import Silent
 from vislam.comparison.compare import make_problem, pixel_sigma, run_comparison
 from vislam.comparison.config import KernelConfig, with_estimators
 from vislam.core.estimator import find
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.estimators.ekf.reweighting import student_weights
 from vislam.estimators.loop import run
 from vislam.evaluation import evaluate
@@ -135,8 +135,8 @@ def test_who_has_another_kernel_or_none_is_of_unequal_information(runs):
     assert said["ekf"] == said["isam2"] == "Student, 4 degrees of freedom"
     assert said["plain"] == "none"
     assert said["batch_gnc"] == "truncated least squares"
-    frozen = FrozenList(("x",), (), runs["ekf"].used, "x")
-    found = {item.pair: item.differs for item in shared_information(runs, frozen)}
+    common_set = CommonSet(("x",), (), runs["ekf"].used, "x")
+    found = {item.pair: item.differs for item in shared_information(runs, common_set)}
     assert not any("kernel" in line for line in found["ekf", "isam2"])
     for pair in (("ekf", "batch_gnc"), ("isam2", "batch_gnc"), ("ekf", "plain")):
         assert any(line.startswith("kernel: ") for line in found[pair])

@@ -47,5 +47,5 @@ def test_the_invariant_filter_is_consistent_and_the_standard_one_is_not():
     assert standard.value > 1.3 * invariant.value
     assert standard.low > 1.0
     # Where the world is turned to, no measurement can tell.
-    gained = {name: found.value(name, "yaw_information_gained").min() for name in ("ekf", "ekf_invariant")}
+    gained = {name: found.value(name, "spurious_yaw_information").min() for name in ("ekf", "ekf_invariant")}
     assert gained["ekf"] > 1.0 > gained["ekf_invariant"]

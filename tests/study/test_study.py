@@ -520,7 +520,7 @@ def error_of(result):
     return next(m["value"] for m in result["metrics"] if m["estimator"] == "ekf" and m["key"] == "ate_rmse")
 
 
-def test_a_study_of_a_missing_recording_is_of_its_stand_in_and_says_so(ran, capsys):
+def test_a_study_of_a_missing_recording_is_of_its_substitute_and_says_so(ran, capsys):
     assert study("--set", "data.file=nowhere.npz") == 0
     assert len(ran) == 4
     assert "[SIMULATED]" in capsys.readouterr().out

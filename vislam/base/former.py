@@ -30,6 +30,14 @@ RENAMED: Mapping[str, str] = {
     },
 }
 """Dotted paths of former keys, and of what they are called now; the last part is what changes."""
+METRICS: Mapping[str, str] = {
+    "yaw_information_gained": "spurious_yaw_information",
+    "position_information_gained": "spurious_position_information",
+    "parting_frame": "divergence_frame",
+}
+"""Former keys of metrics, and what they are called now."""
+CONFIGS: Mapping[str, str] = {"ladder": "ablation_chain"}
+"""Former names of shipped configs, and what they are called now."""
 
 
 def renamed(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -61,6 +69,14 @@ def renamed_path(dotted: str) -> str:
     if new != dotted:
         note({dotted: new}, "")
     return new
+
+
+def metric_key(key: Any) -> Any:
+    """Key of a metric by its new name; a former one is noted."""
+    if not isinstance(key, str) or key not in METRICS:
+        return key
+    note({key: METRICS[key]}, "")
+    return METRICS[key]
 
 
 def note(former: Mapping[str, str], where: str) -> None:

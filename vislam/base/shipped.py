@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+from vislam.base.former import CONFIGS, note
+
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = (_PACKAGE / "configs", _PACKAGE.parent / "configs")
 
@@ -29,6 +31,9 @@ def find_config(name: str | Path) -> Path | None:
             return candidate
     name = path.as_posix().removeprefix("configs/").removesuffix(".yaml")
     shipped = shipped_configs()
+    if name in CONFIGS:
+        note({name: CONFIGS[name]}, "config")
+        name = CONFIGS[name]
     alone = {other.rpartition("/")[2]: file for other, file in shipped.items()}
     return shipped.get(name, alone.get(name))
 

@@ -63,7 +63,7 @@ def _told(check: Mapping[str, Any]) -> str:
 def _properties(document: Mapping[str, Any]) -> Xml.Element:
     dataset = document["dataset"]
     known = {
-        **{key: dataset[key] for key in ("name", "digest", "stand_in", "reference")},
+        **{key: dataset[key] for key in ("name", "digest", "synthetic", "reference")},
         **document["provenance"],
     }
     found = Xml.Element("properties")

@@ -4,11 +4,12 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from vislam.base.errors import ConfigError
 from vislam.base.fields import STRICT
+from vislam.base.former import metric_key
 from vislam.core.run import Estimate
 
 SAVED = "saved"
@@ -22,7 +23,7 @@ class Check:
 
     estimator: str
     """The run it is about; two of them, ``ekf|isam2``, for a metric of how far they are apart."""
-    metric: str | None = None
+    metric: Annotated[str | None, BeforeValidator(metric_key)] = None
     """Key of a metric, as in ``metrics.json``."""
     test: str | None = None
     """Name of a statistic whose distribution is known if the run is consistent, such as ``nees_pose``."""

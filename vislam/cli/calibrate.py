@@ -57,10 +57,10 @@ def _calibrate(options: argparse.Namespace) -> int:
         seed=config.seed,
         data_dir=options.data_dir,
         config_dir=options.config.parent,
-        allow_stand_in=not options.no_stand_in,
+        allow_substitute=not options.no_substitute,
         held_out=config.held_out,
     )
-    if dataset.sequence.stand_in:
+    if dataset.sequence.synthetic:
         terminal.note(dataset.notes[0])
     if options.frames is not None:
         dataset = replace(dataset, sequence=first_frames(dataset.sequence, options.frames))

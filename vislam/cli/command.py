@@ -63,7 +63,7 @@ def add_config_options(parser: Parser, *, required: bool = True) -> None:
         "--no-substitute",
         "--no-stand-in",
         action="store_true",
-        dest="no_stand_in",
+        dest="no_substitute",
         help="a missing recording is an error, not simulated (--no-stand-in is its former name)",
     )
 

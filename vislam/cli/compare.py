@@ -107,7 +107,7 @@ def _compare(options: argparse.Namespace) -> int:
         out=options.out,
         data_dir=options.data_dir,
         config_dir=options.config.parent,
-        allow_stand_in=not options.no_stand_in,
+        allow_substitute=not options.no_substitute,
         progress=Terminal(),
         against=options.against,
         tolerance=options.tolerance,

@@ -52,7 +52,7 @@ def _export(options: argparse.Namespace) -> int:
         data, seed, home = configuration.DataConfig(file=options.source), 0, None
     seed = seed if options.seed is None else options.seed
     folders = [Path(), *search_path(options.data_dir, config_dir=home)]
-    recording = open_recording(data, Opening(folders, seed), allow_stand_in=False)
+    recording = open_recording(data, Opening(folders, seed), allow_substitute=False)
     write_tracks_npz(options.out, recording)
     terminal, sequence = Terminal(), recording.sequence
     for note in recording.notes:

@@ -70,9 +70,9 @@ def _inspect(options: argparse.Namespace) -> int:
         seed=config.seed,
         data_dir=options.data_dir,
         config_dir=home,
-        allow_stand_in=not options.no_stand_in,
+        allow_substitute=not options.no_substitute,
     )
-    if dataset.sequence.stand_in:
+    if dataset.sequence.synthetic:
         terminal.note(dataset.notes[0])
     if dataset.sequence.observations == 0:
         raise DataError(f"{dataset.sequence.name}: no stereo observation is in it")
@@ -83,7 +83,7 @@ def _inspect(options: argparse.Namespace) -> int:
     target = options.write_config or options.out / "config.yaml"
     text = proposed_config(tree, result, folders=folders, written_to=target)
     again = (options.out / "inspection.json").exists()
-    page = write_inspection(options.out, result, stand_in=dataset.sequence.stand_in, config=text)
+    page = write_inspection(options.out, result, synthetic=dataset.sequence.synthetic, config=text)
     terminal.note(f"{'overwritten' if again else 'written'}: {options.out / 'inspection.json'} and figures")
     terminal.note(f"page: {page}")
     if result.proposal:

@@ -36,7 +36,7 @@ from vislam.comparison.results import (
 from vislam.comparison.running import Runner
 from vislam.core.estimator import Estimator, Problem, VerticalVelocityNoise
 from vislam.core.lagged import Lags
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.record import Record, Tracks
 from vislam.core.run import Run
 from vislam.datasets.find import search_path
@@ -63,7 +63,7 @@ def compare(
     out: Path,
     data_dir: Path | None,
     config_dir: Path | None = None,
-    allow_stand_in: bool,
+    allow_substitute: bool,
     progress: Progress,
     against: Path | None = None,
     tolerance: float = 0.05,
@@ -93,7 +93,7 @@ def compare(
         seed=config.seed,
         data_dir=data_dir,
         config_dir=config_dir,
-        allow_stand_in=allow_stand_in,
+        allow_substitute=allow_substitute,
         held_out=config.held_out,
     )
     checklist.refuse_other(digest=dataset.sequence.digest, reference=dataset.reference)
@@ -188,7 +188,7 @@ class Prepared:
         ``processes`` share what is run for covariances beside the estimators' own.
         """
         runs, interrupted = self.runner.run_all(
-            self.estimators, frozen=self.record.frozen, gates_from=self.config.gates_from
+            self.estimators, common_set=self.record.common_set, gates_from=self.config.gates_from
         )
         if wanted(self.config) and not interrupted:
             interrupted = self._consider(runs, processes)
@@ -196,8 +196,8 @@ class Prepared:
 
     def _consider(self, runs: dict[str, Run], processes: int) -> bool:
         """Replace runs by those with covariances beside their own, and say whether it was interrupted."""
-        runner, frozen, by = self.runner, self.record.frozen, self.config.gates_from
-        usable = {name: runner.given(name, runs, frozen=frozen, gates_from=by) for name in runs}
+        runner, common_set, by = self.runner, self.record.common_set, self.config.gates_from
+        usable = {name: runner.given(name, runs, common_set=common_set, gates_from=by) for name in runs}
         given = Given(self.config, self.problem, runner.sequence, runner.sigma)
         found = considered(runs, given, usable=usable, processes=processes, progress=runner.progress)
         try:
@@ -253,7 +253,7 @@ def prepare(
         NoKeeper() if keeper is None else keeper,
         identity,
     )
-    frozen = None
+    common_set = None
     if config.common_set_from:
         makers = list_makers(config, found)
         # Each with a problem of its own, and of the list nobody asks for more than what was fused.
@@ -261,7 +261,7 @@ def prepare(
         gating = {name: maker.build(make_problem(plain, dataset)) for name, maker in makers.items()}
         exempt = tuple(name for name, member in found.items() if member.takes_all)
         try:
-            frozen = runner.freeze(gating, by=config.common_set_from, exempt=exempt)
+            common_set = runner.freeze(gating, by=config.common_set_from, exempt=exempt)
         except (ConfigError, DivergedError) as failure:
             # What nobody asked for stops no run that was asked for.
             if config.common_set_from != (LIST_MAKER,):
@@ -270,7 +270,7 @@ def prepare(
             estimators = build_estimators(config, dataset, found)
     given = Tracks.of(dataset.sequence, sigma)
     bound = drive_bound(config, dataset, given)
-    record = replace(_record(dataset, given, kept_back, frozen=frozen), bound=bound)
+    record = replace(_record(dataset, given, kept_back, common_set=common_set), bound=bound)
     return Prepared(config, record, runner, estimators, make_problem(config, dataset))
 
 
@@ -324,12 +324,12 @@ def _parted(config: Config, dataset: Dataset) -> tuple[Dataset, Tracks]:
     return replace(dataset, sequence=given, held_out=kept_back), Tracks.of(kept_back, sigma)
 
 
-def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, frozen: FrozenList | None) -> Record:
+def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, common_set: CommonSet | None) -> Record:
     """The record of the sequence, to be saved beside its runs."""
     sequence = dataset.sequence
     return Record(
         name=sequence.name,
-        stand_in=sequence.stand_in,
+        synthetic=sequence.synthetic,
         digest=sequence.digest,
         notes=dataset.notes,
         counts={
@@ -344,7 +344,7 @@ def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, frozen: Froze
         given=given,
         held_out=kept_back,
         reference=dataset.reference,
-        frozen=frozen,
+        common_set=common_set,
         provenance=provenance(),
     )
 

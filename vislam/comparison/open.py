@@ -77,7 +77,7 @@ def open_dataset(
     seed: int,
     data_dir: Path | None = None,
     config_dir: Path | None = None,
-    allow_stand_in: bool = True,
+    allow_substitute: bool = True,
     held_out: HeldOutConfig | None = None,
 ) -> Dataset:
     """Read or simulate, choose the tracks that are held out, then repair.
@@ -91,7 +91,7 @@ def open_dataset(
         First folder to look for files.
     config_dir : Path, optional
         Folder of the file that the config was loaded from, the next to look for files.
-    allow_stand_in : bool
+    allow_substitute : bool
         Whether a missing recording may be replaced by the config's simulation.
     held_out : HeldOutConfig, optional
         Tracks, as the front end has them, that are kept out of the sequence and of its repairs; None: the
@@ -103,14 +103,14 @@ def open_dataset(
         If the recording, or the path of a simulation, is missing and may not be replaced, or cannot be used.
     """
     opening = Opening(search_path(data_dir, config_dir=config_dir), seed)
-    raw = open_recording(config, opening, allow_stand_in=allow_stand_in)
-    wrong = () if raw.sequence.stand_in else _implausible(raw.sequence, config)
+    raw = open_recording(config, opening, allow_substitute=allow_substitute)
+    wrong = () if raw.sequence.synthetic else _implausible(raw.sequence, config)
     sequence, kept_back = _parted(raw.sequence, config, held_out)
     dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back)
-    return dataset if raw.sequence.stand_in else _redrawn(dataset, config, seed)
+    return dataset if raw.sequence.synthetic else _redrawn(dataset, config, seed)
 
 
-def open_recording(config: DataConfig, opening: Opening, *, allow_stand_in: bool = True) -> Recording:
+def open_recording(config: DataConfig, opening: Opening, *, allow_substitute: bool = True) -> Recording:
     """Read or simulate, with inertial samples and reference from elsewhere if the config says so.
 
     Raises
@@ -119,7 +119,7 @@ def open_recording(config: DataConfig, opening: Opening, *, allow_stand_in: bool
         As :func:`open_dataset`.
     """
     name = config.recorded_file
-    if config.simulated or (name is not None and _to_substitute(config, name, opening, allow_stand_in)):
+    if config.simulated or (name is not None and _to_substitute(config, name, opening, allow_substitute)):
         return _simulated(config, opening)
     raw, folders = _read(config, opening)
     if config.inertial is not None:

@@ -19,7 +19,7 @@ from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record
 from vislam.core.run import Log, Run
 from vislam.evaluation import Evaluation, evaluate
-from vislam.evaluation.attribution import Rung, attribute
+from vislam.evaluation.attribution import AblationStep, attribute
 from vislam.evaluation.information import SharedInformation, shared_information, unequal_line
 from vislam.evaluation.metric import ESTIMATE_TITLES
 from vislam.evaluation.spread import Spread
@@ -84,20 +84,20 @@ class Results:
     @property
     def title(self) -> str:
         """Title of tables and figures."""
-        mark = " [SIMULATED]" if self.record.stand_in else ""
+        mark = " [SIMULATED]" if self.record.synthetic else ""
         return f"vislam {self.config.name}: {self.record.name}{mark}"
 
-    def frozen_told(self) -> str:
+    def common_set_line(self) -> str:
         """Description of the common observation set; empty without one."""
-        return "" if self.record.frozen is None else self.record.frozen.tell(self._own())
+        return "" if self.record.common_set is None else self.record.common_set.tell(self._own())
 
     def shared_information(self) -> list[SharedInformation]:
         """What each pair of the comparison's own runs had in common."""
-        return shared_information(self._own(), self.record.frozen)
+        return shared_information(self._own(), self.record.common_set)
 
     def not_fused(self) -> dict[str, int]:
         """Observations of the common observation set that each run bound to it did not fuse."""
-        return {} if self.record.frozen is None else self.record.frozen.not_fused(self._own())
+        return {} if self.record.common_set is None else self.record.common_set.not_fused(self._own())
 
     def _own(self) -> dict[str, Run]:
         return {
@@ -171,28 +171,28 @@ def publish(results: Results, folder: Path, checklist: Checklist, *, report: boo
     """
     evaluation = evaluate(results.runs, results.record, results.own)
     verdicts = checklist.judge(results.runs, evaluation)
-    rungs = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
-    document = metrics_document(results, evaluation, rungs, verdicts)
+    steps = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
+    document = metrics_document(results, evaluation, steps, verdicts)
     clear_report(folder)
     written = folder / "metrics.json"
     write_text(written, json.dumps(document, indent=1) + "\n")
     if report:
         written = folder / "report.html"
-        _write_report(results, evaluation, rungs, verdicts, path=written)
+        _write_report(results, evaluation, steps, verdicts, path=written)
     return Published(evaluation, verdicts, document, written)
 
 
 def _write_report(
     results: Results,
     evaluation: Evaluation,
-    rungs: Sequence[Rung],
+    steps: Sequence[AblationStep],
     verdicts: Sequence[Verdict],
     *,
     path: Path,
 ) -> None:
     """Write the page, and its figures beside it."""
     record, runs = results.record, results.runs
-    shown = Shown.of(runs, record, evaluation, rungs)
+    shown = Shown.of(runs, record, evaluation, steps)
     figures = all_figures(shown)
     for name, drawing in figures.items():
         save_svg(drawing.svg, path.parent / "figures" / f"{name}.svg")
@@ -203,13 +203,13 @@ def _write_report(
             runs=runs,
             record=record,
             evaluation=evaluation,
-            rungs=rungs,
+            steps=steps,
             figures=figures,
             scene=scene_data(shown),
             travelled=shown.travelled(),
             config=configuration.dump(results.config),
             checks=[(verdict.holds, f"{verdict.check}: {verdict.measured}") for verdict in verdicts],
-            frozen=results.frozen_told(),
+            common_set=results.common_set_line(),
             unequal=unequal_line(results.shared_information()),
             spread=results.spread,
             noticed=noticed_lines(results.own),
@@ -223,7 +223,7 @@ def top_view_svg(results: Results, evaluation: Evaluation) -> str:
 
 
 def metrics_document(
-    results: Results, evaluation: Evaluation, rungs: Sequence[Rung], verdicts: Sequence[Verdict]
+    results: Results, evaluation: Evaluation, steps: Sequence[AblationStep], verdicts: Sequence[Verdict]
 ) -> dict[str, Any]:
     """Plain data of ``metrics.json``."""
     record, reference, not_fused = results.record, results.record.reference, results.not_fused()
@@ -232,13 +232,13 @@ def metrics_document(
         "name": results.config.name,
         "dataset": {
             "name": record.name,
-            "stand_in": record.stand_in,
+            "synthetic": record.synthetic,
             "reference": None if reference is None else reference.name,
             "reference_limits": None if reference is None else reference.limits,
             "digest": record.digest,
             "counts": record.counts,
             "repairs": [asdict(step) for step in record.repairs],
-            "frozen": None if record.frozen is None else record.frozen.record(),
+            "common_set": None if record.common_set is None else record.common_set.record(),
             "notes": list(record.notes),
         },
         "runs": {
@@ -265,7 +265,7 @@ def metrics_document(
         "worst_segments": evaluation.worst_segments(),
         "map_agreement": evaluation.map_agreement(),
         "lag": evaluation.lag_records(),
-        "attribution": [asdict(rung) for rung in rungs],
+        "attribution": [asdict(step) for step in steps],
         "checks": [verdict.record() for verdict in verdicts],
     }
 
@@ -285,7 +285,7 @@ def announce(results: Results, published: Published, progress: Progress) -> None
     progress.note(MARKS)
     for sentence in headline_of(results, published.evaluation):
         progress.note(sentence)
-    if told := results.frozen_told():
+    if told := results.common_set_line():
         progress.note(told)
     if unequal:
         progress.note(unequal)
@@ -314,8 +314,8 @@ def _announce_checks(verdicts: Sequence[Verdict], progress: Progress) -> None:
 
 def save_pictures(results: Results, evaluation: Evaluation, folder: Path) -> None:
     """Write the figures as PNG, beside those that the page shows."""
-    rungs = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
-    for name, drawing in all_figures(Shown.of(results.runs, results.record, evaluation, rungs)).items():
+    steps = attribute(results.config.ablation_chain, results.runs, evaluation, results.record.reference)
+    for name, drawing in all_figures(Shown.of(results.runs, results.record, evaluation, steps)).items():
         save_png(drawing.figure, folder / "figures" / f"{name}.png")
 
 

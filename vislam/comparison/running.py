@@ -13,7 +13,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.comparison.keeping import Keeper
 from vislam.comparison.members import Unbuilt
 from vislam.core.estimator import Estimator
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.estimators import loop
@@ -52,7 +52,7 @@ class Runner:
         *,
         by: tuple[str, ...],
         exempt: tuple[str, ...] = (),
-    ) -> FrozenList:
+    ) -> CommonSet:
         """Run those named in ``by``, each without what those before it left out; keep what all fused.
 
         Of these, what was seen only once goes too: it says nothing of the motion, and not everyone can
@@ -81,13 +81,13 @@ class Runner:
         kept &= self.sequence.seen_again(kept)
         if not kept.any():
             raise ConfigError("common_set_from: no track is left that was seen more than once")
-        return FrozenList.of(self.sequence, kept, by=by, exempt=exempt)
+        return CommonSet.of(self.sequence, kept, by=by, exempt=exempt)
 
     def run_all(
         self,
         estimators: Mapping[str, Estimator | Unbuilt],
         *,
-        frozen: FrozenList | None,
+        common_set: CommonSet | None,
         gates_from: str | None,
     ) -> tuple[dict[str, Run], bool]:
         """Run the estimators one after the other, and whether it was interrupted.
@@ -103,7 +103,7 @@ class Runner:
         interrupted = False
         try:
             for name, solver in estimators.items():
-                usable = self.given(name, runs, frozen=frozen, gates_from=gates_from)
+                usable = self.given(name, runs, common_set=common_set, gates_from=gates_from)
                 runs[name] = self._found(solver, name, usable)
                 self.keeper.keep(runs[name])
                 kept.add(name)
@@ -120,13 +120,13 @@ class Runner:
         }, interrupted
 
     def given(
-        self, name: str, runs: Mapping[str, Run], *, frozen: FrozenList | None, gates_from: str | None
+        self, name: str, runs: Mapping[str, Run], *, common_set: CommonSet | None, gates_from: str | None
     ) -> BoolArray:
         """Which observations ``(n,)`` a run is given, where ``runs`` has those before it, in their order."""
-        if frozen is not None and name not in frozen.exempt:
-            return frozen.kept
+        if common_set is not None and name not in common_set.exempt:
+            return common_set.kept
         before = list(takewhile(lambda other: other != name, runs))
-        if frozen is None and gates_from is not None and gates_from in before:
+        if common_set is None and gates_from is not None and gates_from in before:
             return ~runs[gates_from].gated
         return np.ones(self.sequence.observations, bool)
 

@@ -56,7 +56,7 @@ class ScoringConfig:
 
     @property
     def ablation_chain(self) -> dict[str, str]:
-        """Nothing: rungs are of our own runs."""
+        """Nothing: an ablation chain is of own runs."""
         return {}
 
 
@@ -195,7 +195,7 @@ def _record(
     imu_T_cam[:3, :3] = CAMERA_AXES
     return Record(
         name=Path(config.reference.file).name,
-        stand_in=False,
+        synthetic=False,
         digest=digest,
         notes=tuple(f"{config.reference.name}: {text}" for text in given.told if "read as" not in text),
         counts={"reference_rows": len(source), **{f"reference_{k}": v for k, v in given.counts.items()}},
@@ -205,7 +205,7 @@ def _record(
         given=none,
         held_out=none,
         reference=replace(reference, frame=inside, position=shown.position, pose=shown.pose, source=source),
-        frozen=None,
+        common_set=None,
         provenance=provenance(),
     )
 

@@ -9,7 +9,7 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -46,6 +46,7 @@ _WORDS = {"real": "real numbers", "whole": "whole numbers", "mask": "booleans"}
 _BROKEN = (EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged archive raises, as a member that is encrypted or that ends early."""
 _MISSING, _BELOW_NULL = object(), object()
+_NO_NAMES: Mapping[str, str] = {}
 
 
 def write_archive(path: Path, value: Any) -> None:
@@ -74,7 +75,7 @@ class _Wrong(Exception):
     """What came in place of what was expected, in words."""
 
 
-def read_archive(path: Path, table: Table, *, what: str) -> Tree:
+def read_archive(path: Path, table: Table, *, what: str, former: Mapping[str, str] = _NO_NAMES) -> Tree:
     """Fields of an archive that :func:`vislam.base.files.save_archive` wrote, checked against a table.
 
     Parameters
@@ -83,6 +84,8 @@ def read_archive(path: Path, table: Table, *, what: str) -> Tree:
     table : Table
     what : str
         What the archive should be, for the error.
+    former : mapping of str to str
+        Dotted names of fields and sections that an older version wrote, and what they are called now.
 
     Returns
     -------
@@ -101,7 +104,7 @@ def read_archive(path: Path, table: Table, *, what: str) -> Tree:
         if not path.is_file():
             raise _Wrong("no regular file")
         with zipfile.ZipFile(path) as archive:
-            return _Reader(archive, table).tree()
+            return _Reader(archive, table, former).tree()
     except _Wrong as wrong:
         text = str(wrong)
     except OSError as error:
@@ -112,10 +115,13 @@ def read_archive(path: Path, table: Table, *, what: str) -> Tree:
 
 
 class _Reader:
-    def __init__(self, archive: zipfile.ZipFile, table: Table) -> None:
-        self._archive, self._written = archive, table
+    def __init__(self, archive: zipfile.ZipFile, table: Table, former: Mapping[str, str]) -> None:
+        self._archive, self._written, self._former = archive, table, former
         self._table: dict[str, Item] = {}
-        self._names = [name.removesuffix(".npy") for name in archive.namelist()]
+        written = [name.removesuffix(".npy") for name in archive.namelist()]
+        self._names = [_renamed(name, former) for name in written]
+        # Name of each array in the archive, by that of its field.
+        self._stored = dict(zip(self._names, written, strict=True))
         # Size of each letter, and the field that has set it.
         self._sizes: dict[str, tuple[int, str]] = {}
 
@@ -158,7 +164,7 @@ class _Reader:
             raise _Wrong(f"plain data that is {_kind_of(tree)}")
         if _deeper(tree, _DEEPEST):
             raise _Wrong("plain data that is nested too deeply")
-        return tree
+        return _tree_renamed(tree, self._former, at="") if self._former else tree
 
     def _refuse_unknown(self, plain: Tree) -> None:
         sections = [name for name, item in self._table.items() if isinstance(item, Section)]
@@ -169,7 +175,9 @@ class _Reader:
 
     def _open(self, name: str) -> PackedArray:
         try:
-            return open_array(self._archive, f"{name}.npy", stored=_STORED, what="numbers")
+            return open_array(
+                self._archive, f"{self._stored.get(name, name)}.npy", stored=_STORED, what="numbers"
+            )
         except KeyError:
             raise _Wrong(f"no '{name}'") from None
         except ArrayError as error:
@@ -221,6 +229,28 @@ class _Reader:
         for rule in item.rules:
             _refuse(name, values, rule.wrong(values), rule.expected)
         return values
+
+
+def _renamed(name: str, former: Mapping[str, str]) -> str:
+    """Dotted name of a field by its new name, or that of the section it is in."""
+    for old, new in former.items():
+        if name == old or name.startswith(f"{old}."):
+            return new + name.removeprefix(old)
+    return name
+
+
+def _tree_renamed(tree: Tree, former: Mapping[str, str], *, at: str) -> Tree:
+    """Plain data, and the references to arrays in them, by the new names of fields."""
+    out = Tree()
+    for key, value in tree.items():
+        name = f"{at}{key}"
+        inner = value
+        if isinstance(value, dict) and value.keys() == {"array"}:
+            inner = {"array": _renamed(str(value["array"]), former)}
+        elif isinstance(value, dict):
+            inner = _tree_renamed(value, former, at=f"{name}.")
+        out[former[name].rpartition(".")[2] if name in former else key] = inner
+    return out
 
 
 def _expanded(table: Table, plain: Tree) -> Iterator[tuple[str, Item]]:

@@ -14,7 +14,7 @@ _DIGITS = 12
 
 
 @dataclass(frozen=True)
-class FrozenList:
+class CommonSet:
     """The observations that every one of some estimators fused.
 
     Attributes
@@ -37,7 +37,7 @@ class FrozenList:
     @classmethod
     def of(
         cls, sequence: data.Sequence, kept: BoolArray, *, by: tuple[str, ...], exempt: tuple[str, ...] = ()
-    ) -> "FrozenList":
+    ) -> "CommonSet":
         """Freeze the observations of a mask ``(n,)``."""
         # A row of the recording and its track say which observation it is, whatever the repairs left out.
         parts = (

@@ -12,7 +12,7 @@ from vislam.base.legible import brief
 from vislam.base.types import Array, IntArray
 from vislam.core.archive import read_archive, write_archive
 from vislam.core.bound import Bound
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.reference import Reference
 from vislam.core.run import Run
 from vislam.core.schema import (
@@ -38,9 +38,11 @@ from vislam.core.stamped import Stamped
 from vislam.models import StereoRig
 
 _WHAT = "the saved record of a drive"
+_FORMER = {"stand_in": "synthetic", "frozen": "common_set"}
+"""Names that earlier versions wrote, and what they are called now."""
 _TABLE: Table = {
     "name": Plain(str),
-    "stand_in": Plain(bool),
+    "synthetic": Plain(bool),
     "digest": Plain(str),
     "notes": Plain(tuple[str, ...]),
     "counts": Plain(dict[str, int]),
@@ -81,11 +83,11 @@ _TABLE: Table = {
     "reference.source.pose": real("r 4 4", RIGID, optional=True),
     "reference.source.cov": real("r 6 6", gaps=True, optional=True),
     "reference.source.timed": Plain(bool),
-    "frozen": Section(optional=True),
-    "frozen.by": Plain(Annotated[tuple[str, ...], Field(min_length=1)]),
-    "frozen.exempt": Plain(tuple[str, ...]),
-    "frozen.kept": mask("n"),
-    "frozen.digest": Plain(str),
+    "common_set": Section(optional=True),
+    "common_set.by": Plain(Annotated[tuple[str, ...], Field(min_length=1)]),
+    "common_set.exempt": Plain(tuple[str, ...]),
+    "common_set.kept": mask("n"),
+    "common_set.digest": Plain(str),
     "provenance": Plain(dict[str, str]),
     "step_twist": real("T 6", gaps=True, optional=True, later=True),
     "bound": Section(optional=True, later=True),
@@ -127,7 +129,7 @@ class Record:
     Attributes
     ----------
     name : str
-    stand_in : bool
+    synthetic : bool
         Whether it was simulated in place of, or without, a recording.
     digest : str
         Hash of the data.
@@ -144,7 +146,7 @@ class Record:
     held_out : Tracks
         Those of the tracks that were kept from all of them.
     reference : Reference or None
-    frozen : FrozenList or None
+    common_set : CommonSet or None
     provenance : dict
         When, on what and with which versions the runs were made.
     step_twist : (T, 6) or None
@@ -154,7 +156,7 @@ class Record:
     """
 
     name: str
-    stand_in: bool
+    synthetic: bool
     digest: str
     notes: tuple[str, ...]
     counts: dict[str, int]
@@ -164,7 +166,7 @@ class Record:
     given: Tracks
     held_out: Tracks
     reference: Reference | None
-    frozen: FrozenList | None
+    common_set: CommonSet | None
     provenance: dict[str, str]
     step_twist: Array | None = None
     bound: Bound | None = None
@@ -176,8 +178,8 @@ class Record:
     @classmethod
     def load(cls, path: Path) -> "Record":
         """Read a saved record; a DataError names what is invalid."""
-        tree = read_archive(path, _TABLE, what=_WHAT)
-        kinds = {"rig": StereoRig, "reference": Reference, "frozen": FrozenList}
+        tree = read_archive(path, _TABLE, what=_WHAT, former=_FORMER)
+        kinds = {"rig": StereoRig, "reference": Reference, "common_set": CommonSet}
         kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound}
         if tree["reference"] is not None and tree["reference"].get("source") is not None:
             tree["reference"]["source"] = Stamped(**tree["reference"]["source"])

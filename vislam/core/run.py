@@ -40,6 +40,8 @@ Beside = Literal["considered", "sandwich"]
 the scores of blocks of time."""
 BESIDE: tuple[Beside, ...] = get_args(Beside)
 """Both, in the order in which they are told."""
+_FORMER = {"innovations.world_gained": "innovations.spurious_information"}
+"""Names that earlier versions wrote, and what they are called now."""
 _TABLE: Table = {
     "name": Plain(str),
     "frames_expected": Plain(Count),
@@ -56,7 +58,7 @@ _TABLE: Table = {
     "innovations.nis": real("T"),
     "innovations.dof": whole("T"),
     "innovations.log_likelihood": real("T", gaps=True),
-    "innovations.world_gained": real("T 6", gaps=True),
+    "innovations.spurious_information": real("T 6", gaps=True),
     "cost": Section(),
     "cost.step_time": real("T", NOT_NEGATIVE),
     "cost.total_time": Plain(Level),
@@ -121,7 +123,7 @@ class Innovations:
         Normalised innovation squared and its degrees of freedom.
     log_likelihood : (T,)
         Logarithm of the density of the innovations; NaN where not given.
-    world_gained : (T, 6)
+    spurious_information : (T, 6)
         Information gained at each frame on motions (omega, v) of the world, which no measurement holds, by
         the estimator's own Jacobians [1/rad^2, 1/m^2]; NaN where not given.
     """
@@ -129,7 +131,7 @@ class Innovations:
     nis: Array
     dof: IntArray
     log_likelihood: Array
-    world_gained: Array
+    spurious_information: Array
 
     @classmethod
     def unknown(cls, frames: int) -> "Innovations":
@@ -362,7 +364,7 @@ class Run:
     @classmethod
     def load(cls, path: Path) -> "Run":
         """Read a saved run; a DataError names what is invalid."""
-        tree = read_archive(path, _TABLE, what="a run as this version of vislam saves it")
+        tree = read_archive(path, _TABLE, what="a run as this version of vislam saves it", former=_FORMER)
         for name, kind in _PARTS.items():
             tree[name] = None if tree.get(name) is None else kind(**tree[name])
         tree["states"] = {name: StateHistory(**history) for name, history in tree["states"].items()}

@@ -70,7 +70,7 @@ class Sequence:
         Which observation of the unrepaired recording each one is.
     clock_offset : float
         How late the inertial stamps are against the camera's [s].
-    stand_in : bool
+    synthetic : bool
         True if the sequence was simulated in place of, or without, a recording.
     digest : str
         Hash of the data.
@@ -96,7 +96,7 @@ class Sequence:
     pixels: Array
     row: IntArray
     clock_offset: float = 0.0
-    stand_in: bool = False
+    synthetic: bool = False
     digest: str = ""
     counts: dict[str, int] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()

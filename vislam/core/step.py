@@ -46,7 +46,7 @@ class Step:
         Which of the frame's observations were fused, as far as is known at the frame; None: none was.
     gated : (n,) or None
         Which of them the estimator itself rejected; None: none.
-    world_gained : (6,) or None
+    spurious_information : (6,) or None
         Information that the step gained on motions (omega, v) of the world, by the estimator's own Jacobians:
         more than none is spurious [1/rad^2, 1/m^2]. None where it is not measured.
     """
@@ -59,7 +59,7 @@ class Step:
     log_likelihood: float = float("nan")
     used: BoolArray | None = None
     gated: BoolArray | None = None
-    world_gained: Array | None = None
+    spurious_information: Array | None = None
 
 
 @dataclass(frozen=True)

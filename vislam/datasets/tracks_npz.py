@@ -89,7 +89,7 @@ class _Reader:
             track=seen.track,
             pixels=seen.pixels,
             row=np.arange(len(seen.track)),
-            stand_in="simulated" in self._arrays.keys and bool(small("simulated", ())),
+            synthetic="simulated" in self._arrays.keys and bool(small("simulated", ())),
             digest=sha256(self._path),
             counts={**seen.counts(len(stamp)), **({} if imu is None else imu.counts)},
             imu=imu,
@@ -97,7 +97,7 @@ class _Reader:
         reference = self._reference(len(stamp))
         points = None if reference is None else self._points(ids)
         made = (f"SIMULATED: the tracks of {self._path.name} are those of a simulation",)
-        return Recording(sequence, reference, points, made if sequence.stand_in else ())
+        return Recording(sequence, reference, points, made if sequence.synthetic else ())
 
     def _check_keys(self) -> None:
         keys = self._arrays.keys
@@ -250,7 +250,7 @@ def write_tracks_npz(path: Path, recording: Recording) -> None:
     if sequence.imu is not None:
         arrays["imu_stamp"] = sequence.imu.stamp - sequence.clock_offset
         arrays["imu_gyro"], arrays["imu_accel"] = sequence.imu.gyro, sequence.imu.accel
-    if sequence.stand_in:
+    if sequence.synthetic:
         arrays["simulated"] = np.array(1)
     if reference is not None and reference.pose is not None:
         # Poses of the file are those of the body.

@@ -67,7 +67,7 @@ def checked_step(step: Any, frame: Frame, sizes: Mapping[str, int]) -> Step:
         log_likelihood=_scalar("log_likelihood", step.log_likelihood),
         used=_mask("used", step.used, count),
         gated=_mask("gated", step.gated, count),
-        world_gained=_optional("world_gained", step.world_gained, (6,)),
+        spurious_information=_optional("spurious_information", step.spurious_information, (6,)),
     )
 
 

@@ -192,7 +192,7 @@ class _Journal:
             nis=np.array([step.nis for step in steps], dtype=np.float64),
             dof=np.array([step.dof for step in steps], dtype=np.int64),
             log_likelihood=np.array([step.log_likelihood for step in steps], dtype=np.float64),
-            world_gained=_stack([step.world_gained for step in steps], (6,)),
+            spurious_information=_stack([step.spurious_information for step in steps], (6,)),
         )
 
     def _history(self, name: str, size: int) -> StateHistory:

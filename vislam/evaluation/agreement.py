@@ -88,7 +88,7 @@ class Agreement:
         """Share of the frames at which the distance is beyond the chi-square quantile of a probability."""
         return float(np.mean(self.squared > chi2_quantile(probability, 6)))
 
-    def parting(self, alarm: float = 0.01) -> int | None:
+    def divergence(self, alarm: float = 0.01) -> int | None:
         """First frame at which the runs contradict each other and keep doing so; None if they never do.
 
         The squared distance exceeds the bound that consistent runs exceed at any frame at all with

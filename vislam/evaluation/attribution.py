@@ -1,4 +1,4 @@
-"""What each rung of a ladder of estimators adds, and what that does to the error."""
+"""Ablation chain: what each step adds to the one before it, and the change of the error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,22 +9,23 @@ from vislam.evaluation.evaluate import Evaluation, headline
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One run on the ladder, against the one below it, the same estimate of both.
+class AblationStep:
+    """One run of an ablation chain against the one before it, the same estimate of both.
 
-    All are differences on one recording. They have a sign: a rung may make it worse.
+    All are differences on one recording, with their sign: a step may increase the error.
 
     Attributes
     ----------
     run : str
     adds : str
-        What it adds to the rung below.
+        What it adds to the step before it.
     key : str
         The metric that is the error.
     filtered, smoothed : float or None
         Error of the filtered and of the smoothed poses [m]; None for an incomplete run, or where it has none.
     filtered_change, smoothed_change : float or None
-        The same less that of the rung below [m], negative where this is better; None if either is missing.
+        The same less that of the step before it [m], negative where this is better; None if either is
+        missing.
     smoothing : float or None
         ``smoothed`` less ``filtered`` [m]: what the data after each frame did within this run.
     """
@@ -40,34 +41,34 @@ class Rung:
 
 
 def attribute(
-    ladder: Mapping[str, str], runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None
-) -> list[Rung]:
-    """Rungs of a ladder, from below.
+    chain: Mapping[str, str], runs: Mapping[str, Run], evaluation: Evaluation, reference: Reference | None
+) -> list[AblationStep]:
+    """Rungs of a chain, from before.
 
     Parameters
     ----------
-    ladder : mapping of str to str
+    chain : mapping of str to str
         What each run adds to the one before it, by the name of the run.
     runs : mapping of name to Run
     evaluation : Evaluation
         Of these runs.
     reference : Reference or None
-        None: nobody knows the errors, and there are no rungs.
+        None: the errors are unknown, and there are no steps.
     """
     if reference is None:
         return []
     key = headline(reference)
-    rungs: list[Rung] = []
-    for name, adds in ladder.items():
+    steps: list[AblationStep] = []
+    for name, adds in chain.items():
         # An incomplete run is scored on the frames it finished, which are not those of its neighbours.
         complete = runs[name].complete
         filtered, smoothed = (
             evaluation.value(name, key, estimate) if complete else None for estimate in ESTIMATES
         )
-        below = (rungs[-1].filtered, rungs[-1].smoothed) if rungs else (None, None)
-        changes = _less(filtered, below[0]), _less(smoothed, below[1])
-        rungs.append(Rung(name, adds, key, filtered, smoothed, *changes, _less(smoothed, filtered)))
-    return rungs
+        before = (steps[-1].filtered, steps[-1].smoothed) if steps else (None, None)
+        changes = _less(filtered, before[0]), _less(smoothed, before[1])
+        steps.append(AblationStep(name, adds, key, filtered, smoothed, *changes, _less(smoothed, filtered)))
+    return steps
 
 
 def _less(one: float | None, other: float | None) -> float | None:

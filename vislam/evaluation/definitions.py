@@ -88,7 +88,7 @@ _OWN = {
         "Squared residuals of a smoother's final estimate, each by its noise, per degree of freedom "
         "(residuals less unknowns). 1 is expected, without a robust kernel: what the NIS is to a filter."
     ),
-    "yaw_information_gained": (
+    "spurious_yaw_information": (
         "Spurious information: what the filter's own Jacobians claim to observe of the rotation of the "
         "world about the vertical, which no measurement holds, summed over the run. 0 is right."
     ),

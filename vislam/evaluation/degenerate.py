@@ -42,8 +42,12 @@ def degeneracies(run: Run, record: Record, estimate: Estimate | None = None) -> 
 
 
 def _fused(run: Run, record: Record) -> tuple[str, ...]:
-    bound = record.frozen is not None and run.name not in record.frozen.exempt
-    given = int(np.count_nonzero(record.frozen.kept)) if bound and record.frozen else len(record.given.track)
+    bound = record.common_set is not None and run.name not in record.common_set.exempt
+    given = (
+        int(np.count_nonzero(record.common_set.kept))
+        if bound and record.common_set
+        else len(record.given.track)
+    )
     fused = int(np.count_nonzero(run.used))
     if not given or not run.complete:
         return ()

@@ -195,7 +195,7 @@ def evaluate(
         if len(run.stamp) >= _FEWEST
     }
     fused = {name: run for name, run in runs.items() if not run.elsewhere}
-    equal = {item.pair for item in shared_information(fused, record.frozen) if item.equal}
+    equal = {item.pair for item in shared_information(fused, record.common_set) if item.equal}
     pairs = {
         (a, b): score_pair(scores[a], scores[b], record, equal=(a, b) in equal)
         for a, b in combinations(scores, 2)

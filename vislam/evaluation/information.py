@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vislam.core.observation_set import FrozenList
+from vislam.core.observation_set import CommonSet
 from vislam.core.run import Run
 
 LARGEST_SHARE = 0.01
@@ -35,7 +35,7 @@ class SharedInformation:
         return asdict(self)
 
 
-def shared_information(runs: Mapping[str, Run], frozen: FrozenList | None) -> list[SharedInformation]:
+def shared_information(runs: Mapping[str, Run], common_set: CommonSet | None) -> list[SharedInformation]:
     """Compare the information of each pair of complete runs that use the camera.
 
     Noise of the motion, priors, cuts and repairs are the comparison's own and the same for all. What may
@@ -46,13 +46,13 @@ def shared_information(runs: Mapping[str, Run], frozen: FrozenList | None) -> li
     ----------
     runs : mapping of str to Run
         Runs of estimators of the comparison.
-    frozen : FrozenList or None
+    common_set : CommonSet or None
         The observations that all were given; None if each chose for itself.
     """
     seeing = [run for run in runs.values() if not run.log.error and not run.blind]
     found = []
     for one, other in combinations(seeing, 2):
-        differs = (*_observations(one, other, frozen), *_assumptions(one, other))
+        differs = (*_observations(one, other, common_set), *_assumptions(one, other))
         found.append(SharedInformation((one.name, other.name), not differs, differs))
     return found
 
@@ -63,18 +63,18 @@ def unequal_line(found: list[SharedInformation]) -> str:
     return f"Information was not equal: {', '.join(said)}." if said else ""
 
 
-def _observations(one: Run, other: Run, frozen: FrozenList | None) -> Iterator[str]:
-    if frozen is None:
+def _observations(one: Run, other: Run, common_set: CommonSet | None) -> Iterator[str]:
+    if common_set is None:
         differing = int(np.count_nonzero(one.used != other.used))
         if differing > LARGEST_SHARE * max(int(np.count_nonzero(one.used | other.used)), 1):
             yield f"no common list, {differing} observations were fused by one of them only"
         return
-    left = frozen.not_fused({run.name: run for run in (one, other)})
+    left = common_set.not_fused({run.name: run for run in (one, other)})
     for name in (one.name, other.name):
         if name not in left:
             yield f"{name} was given all observations"
             continue
-        share = left[name] / max(int(np.count_nonzero(frozen.kept)), 1)
+        share = left[name] / max(int(np.count_nonzero(common_set.kept)), 1)
         if share > LARGEST_SHARE:
             yield f"{name} left out {100.0 * share:.1f} % of the common observations"
 

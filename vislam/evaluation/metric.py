@@ -112,7 +112,7 @@ _ALL = (
     MetricSpec("smoothing_per_dof", "filtered less smoothed per degree of freedom", "", 2, "one"),
     MetricSpec("smoothing_indefinite", "frames more certain filtered than smoothed", "", 3),
     MetricSpec("fit_per_dof", "fit per degree of freedom", "", 2, "one"),
-    MetricSpec("yaw_information_gained", "yaw information gained", "1/rad²", 1),
+    MetricSpec("spurious_yaw_information", "spurious yaw information", "1/rad²", 1),
     MetricSpec("landmarks", "landmarks", "", 0),
     MetricSpec("observations_used", "observations used", "", 0),
     MetricSpec("observations_gated", "observations gated", "", 0),

@@ -281,10 +281,10 @@ def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:
     if scores.whiteness is not None:
         yield "nis_autocorrelation", float(scores.whiteness.autocorrelation[0]), "1"
         yield "nis_white_p", scores.whiteness.p_value, "1"
-    gained = scores.run.innovations.world_gained
+    gained = scores.run.innovations.spurious_information
     if np.isfinite(gained).all() and len(gained):
-        yield "yaw_information_gained", float(gained[:, _YAW].sum()), "1/rad^2"
-        yield "position_information_gained", float(gained[:, 3:].sum(axis=0).mean()), "1/m^2"
+        yield "spurious_yaw_information", float(gained[:, _YAW].sum()), "1/rad^2"
+        yield "spurious_position_information", float(gained[:, 3:].sum(axis=0).mean()), "1/m^2"
 
 
 def _held_out(scores: EstimateScores) -> Iterator[tuple[str, float, str]]:
@@ -372,9 +372,9 @@ def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
         found, by = scores.agreement, "worlds joined at the first pose, by the sum of the two covariances"
         yield "distance_per_freedom", found.per_freedom, by
         yield "poses_beyond_95", found.share_beyond(), by
-        frame, certainty = found.parting(), found.certainty()
+        frame, certainty = found.divergence(), found.certainty()
         if frame is not None:
-            yield "parting_frame", float(frame), f"{by}; beyond the 99 % bound of all frames together"
+            yield "divergence_frame", float(frame), f"{by}; beyond the 99 % bound of all frames together"
         yield from _agreement_considered(scores)
         told = "variance that the first claims over that of the second, median over the frames"
         yield "variance_ratio", certainty.overall, f"{told}; geometric mean of all directions"

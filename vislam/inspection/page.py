@@ -21,14 +21,14 @@ SCHEMA_VERSION = 1
 PAGE = "inspection.html"
 
 
-def write_inspection(folder: Path, result: Inspection, *, stand_in: bool, config: str = "") -> Path:
+def write_inspection(folder: Path, result: Inspection, *, synthetic: bool, config: str = "") -> Path:
     """Write findings, figures and page, each file whole or not at all; return the page.
 
     Parameters
     ----------
     folder : Path
     result : Inspection
-    stand_in : bool
+    synthetic : bool
         Whether the data was simulated.
     config : str
         The proposed config as text; empty for a page without one.
@@ -37,7 +37,7 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool, config
     document = {
         "schema_version": SCHEMA_VERSION,
         "name": result.name,
-        "stand_in": stand_in,
+        "synthetic": synthetic,
         "findings": [_finite(asdict(finding)) for finding in result.findings],
         "proposal": _finite(result.proposal),
         "settings": _finite(result.settings),
@@ -45,14 +45,14 @@ def write_inspection(folder: Path, result: Inspection, *, stand_in: bool, config
         "provenance": made,
     }
     write_text(folder / "inspection.json", json.dumps(document, indent=1) + "\n")
-    title = f"{result.name}{' [SIMULATED]' if stand_in else ''}"
+    title = f"{result.name}{' [SIMULATED]' if synthetic else ''}"
     drawn = drawings(result, title=title)
     for name, drawing in drawn.items():
         save_png(drawing.figure, folder / f"{name}.png")
     text = render(
         "inspection.html",
         title=f"vislam inspection: {title}",
-        stand_in=stand_in,
+        synthetic=synthetic,
         headline=headline(result.findings),
         findings=[(finding, _figure_of(finding, drawn)) for finding in result.findings],
         figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in drawn.items()],

@@ -5,10 +5,10 @@ from typing import Any
 
 from vislam.base.yaml_text import parse_yaml
 from vislam.evaluation.metric import METRICS
-from vislam.ledger.entries import Entry
+from vislam.ledger.entries import Entry, is_synthetic
 from vislam.report.table import Table
 
-_DATA = ("name", "digest", "stand_in", "reference", "reference_limits")
+_DATA = ("name", "digest", "reference", "reference_limits")
 _NONE = "-"
 
 
@@ -38,7 +38,9 @@ def _flat(value: Any, path: tuple[str, ...]) -> list[tuple[str, Any]]:
 
 def _data(entry: Entry) -> dict[str, Any]:
     found = entry.document.get("dataset")
-    return {key: found.get(key) for key in _DATA} if isinstance(found, Mapping) else {"name": entry.data}
+    if not isinstance(found, Mapping):
+        return {"name": entry.data}
+    return {**{key: found.get(key) for key in _DATA}, "synthetic": is_synthetic(found)}
 
 
 def _apart(one: Mapping[str, Any], other: Mapping[str, Any]) -> Table:

@@ -141,7 +141,7 @@ def _comparison(folder: Path, document: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": str(document["name"]),
         "data": str(document["dataset"]["name"])
-        + (" [SIMULATED]" if document["dataset"]["stand_in"] else ""),
+        + (" [SIMULATED]" if is_synthetic(document["dataset"]) else ""),
         "page": _page(folder / "report.html"),
         "estimators": tuple(map(str, document["runs"])),
         "metrics": {
@@ -192,11 +192,16 @@ def _inspection(folder: Path, document: Mapping[str, Any]) -> dict[str, Any]:
     sound = sum(item["verdict"] != "fault" for item in findings)
     return {
         "name": "inspection",
-        "data": str(document["name"]) + (" [SIMULATED]" if document["stand_in"] else ""),
+        "data": str(document["name"]) + (" [SIMULATED]" if is_synthetic(document) else ""),
         "page": _page(folder / "inspection.html"),
         "checks": (sound, len(findings)),
         "told": f"faults: {', '.join(faults)}" if faults else "no fault",
     }
+
+
+def is_synthetic(section: Mapping[str, Any]) -> bool:
+    """Whether data are those of a simulation; earlier versions wrote ``stand_in``."""
+    return bool(section["synthetic"] if "synthetic" in section else section["stand_in"])
 
 
 def _page(path: Path) -> Path | None:

@@ -22,7 +22,7 @@ from vislam.report.time_figures import three_sigma_band
 _MAIN = ("nees_pose", "nees_position_planar", "nees_position_aligned")
 """Statistics of which the first that a run has is drawn over time."""
 _ELLIPSES = 9
-"""Frames about the parting of two runs at which their ellipses are drawn."""
+"""Frames about the divergence of two runs at which their ellipses are drawn."""
 _REACH = 60
 """Frames before and after it that are shown."""
 _SIGMAS = 3.0
@@ -171,7 +171,7 @@ def distances(shown: Shown) -> Figure | None:
         label, colour = " and ".join(pair), COLOURS[index % len(COLOURS)]
         squared = np.maximum(found.squared / 6.0, _LOWEST)
         axes.plot(shown.time_at(found.frame), squared, lw=0.9, color=colour, label=literal(label))
-        frame = found.parting()
+        frame = found.divergence()
         if frame is not None:
             axes.axvline(float(shown.time_at(np.array(frame))), color=colour, lw=0.9, ls=":")
     axes.axhline(float(chi2_quantile(0.95, 6)) / 6.0, color="k", lw=0.8, ls="--", label="95 % bound")
@@ -181,9 +181,11 @@ def distances(shown: Shown) -> Figure | None:
     return figure
 
 
-def parting(shown: Shown) -> Figure | None:
+def divergence(shown: Shown) -> Figure | None:
     """Paths and 3-sigma ellipses of the runs about where they part, a panel a pair; None if none do."""
-    parted = {pair: frame for pair, one in shown.agreements().items() if (frame := one.parting()) is not None}
+    parted = {
+        pair: frame for pair, one in shown.agreements().items() if (frame := one.divergence()) is not None
+    }
     if not parted:
         return None
     columns = min(len(parted), 2)

@@ -49,26 +49,26 @@ def segment_errors(shown: Shown) -> Figure | None:
     return figure
 
 
-def ladder(shown: Shown) -> Figure | None:
+def ablation_chain(shown: Shown) -> Figure | None:
     """Error of each step, of its filtered and of its smoothed poses."""
-    rungs = shown.rungs
-    if not rungs:
+    steps = shown.steps
+    if not steps:
         return None
-    figure = new_figure(0.9 + 0.5 * len(rungs))
+    figure = new_figure(0.9 + 0.5 * len(steps))
     axes = figure.subplots()
-    place = np.arange(len(rungs))
-    spec = METRICS[rungs[0].key]
+    place = np.arange(len(steps))
+    spec = METRICS[steps[0].key]
     drawn: tuple[tuple[Estimate, float, str], ...] = (
         ("filtered", -0.2, COLOURS[5]),
         ("smoothed", 0.2, COLOURS[0]),
     )
     for estimate, offset, colour in drawn:
-        values = [np.nan if (value := getattr(rung, estimate)) is None else value for rung in rungs]
+        values = [np.nan if (value := getattr(step, estimate)) is None else value for step in steps]
         bars = axes.barh(place + offset, values, height=0.38, color=colour, label=ESTIMATE_TITLES[estimate])
         missing = "incomplete" if estimate == "filtered" else ""
         told = [f"{value:.{spec.digits}f}" if np.isfinite(value) else missing for value in values]
         axes.bar_label(bars, told, fontsize=SMALL, padding=3)
-    axes.set_yticks(place, [literal(f"{rung.run}: {rung.adds}") for rung in rungs], fontsize=SMALL)
+    axes.set_yticks(place, [literal(f"{step.run}: {step.adds}") for step in steps], fontsize=SMALL)
     axes.invert_yaxis()
     axes.set(xlabel=spec.label)
     logarithmic(axes, "x")

@@ -67,7 +67,7 @@ OF_AN_ESTIMATE = (
     "bound",
     "segments",
     "distances",
-    "parting",
+    "divergence",
     "cost",
 )
 """Figures that hold runs against each other, and so are drawn of the filtered and of the smoothed apart."""
@@ -166,13 +166,13 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
         "Squared Mahalanobis distance of each two estimates by the sum of their covariances, with no "
         "reference involved. Dotted: from there on they are inconsistent with each other.",
     ),
-    "parting": (
-        consistency_figures.parting,
+    "divergence": (
+        consistency_figures.divergence,
         "Divergence of the estimates",
         "Paths and three-sigma ellipses about the frame from which two estimates are inconsistent, both "
         "started at the same pose.",
     ),
-    "ladder": (error_figures.ladder, "Ablation chain", "Error of each step."),
+    "ablation_chain": (error_figures.ablation_chain, "Ablation chain", "Error of each step."),
     "step_time": (
         time_figures.step_time,
         "Time of each step",

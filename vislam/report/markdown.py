@@ -37,7 +37,7 @@ def results_table(document: dict[str, Any]) -> str:
         if names:
             lines += [f"**{ESTIMATE_TITLES[estimate]}**", "", *_block(values, names, estimate), ""]
     dataset, made = document["dataset"], document["provenance"]
-    simulated = " (SIMULATED)" if dataset["stand_in"] else ""
+    simulated = " (SIMULATED)" if dataset["synthetic"] else ""
     against = f"{dataset['reference']} ({dataset['reference_limits']})"
     machine = f"{made['cpu']}, gtsam {made['gtsam']}, {made['date']}"
     lines.append(f"{dataset['name']}{simulated} against {against}; {machine}.")

@@ -18,13 +18,14 @@ from vislam.base.types import Array
 from vislam.core.record import Record
 from vislam.core.run import Run
 from vislam.evaluation import Evaluation
-from vislam.evaluation.attribution import Rung
+from vislam.evaluation.attribution import AblationStep
 from vislam.evaluation.definitions import DEFINITIONS
 from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import Drawing, figure_names
 from vislam.report.page_parts import draw_table, inline_svg, part, render
 from vislam.report.page_tables import (
+    ablation_table,
     certainty_table,
     counts_table,
     errors_table,
@@ -33,14 +34,13 @@ from vislam.report.page_tables import (
     maps_table,
     pairs_table,
     repairs_table,
-    rungs_table,
     smoothing_table,
     worst_table,
 )
 from vislam.report.table import comparison_tables
 from vislam.report.verdict import verdict
 
-WIDE = ("top_view", "ladder")
+WIDE = ("top_view", "ablation_chain")
 """Figures that take the whole width of a page."""
 MOST_CHECKS = 10
 """Checks up to which those that hold are shown one by one."""
@@ -59,7 +59,7 @@ class Content:
     record : Record
         Of the drive.
     evaluation : Evaluation
-    rungs : sequence of Rung
+    steps : sequence of AblationStep
     figures : mapping of str to Drawing
     scene : mapping
         What :func:`vislam.report.scene.scene_data` gives; empty for a page without a scene.
@@ -83,13 +83,13 @@ class Content:
     runs: Mapping[str, Run]
     record: Record
     evaluation: Evaluation
-    rungs: Sequence[Rung]
+    steps: Sequence[AblationStep]
     figures: Mapping[str, Drawing]
     scene: Mapping[str, Any]
     travelled: tuple[Array, Array]
     config: str
     checks: Sequence[tuple[bool | None, str]] = ()
-    frozen: str = ""
+    common_set: str = ""
     unequal: str = ""
     spread: Spread | None = None
     noticed: Sequence[str] = ()
@@ -117,7 +117,7 @@ def write_page(path: Path, content: Content) -> None:
         defined={spec.label: f"metric-{spec.key}" for spec in shown},
         definitions=[(spec.key, spec.label, DEFINITIONS[spec.key]) for spec in shown],
         errors=errors_table(evaluation),
-        rungs=rungs_table(content.rungs),
+        steps=ablation_table(content.steps),
         pairs=pairs_table(evaluation),
         certainty=certainty_table(evaluation),
         smoothing=smoothing_table(evaluation),
@@ -131,7 +131,7 @@ def write_page(path: Path, content: Content) -> None:
         scene_note=_scene_note(scene) if scene else "",
         counts=counts_table(record.counts, record.repairs, runs),
         repairs=repairs_table(record.repairs),
-        frozen=content.frozen,
+        common_set=content.common_set,
         events={name: run.log.events for name, run in runs.items() if run.log.events},
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=content.config,

@@ -7,7 +7,7 @@ import numpy as np
 from vislam.core.run import Estimate, Run
 from vislam.core.sequence import Repair
 from vislam.evaluation import Evaluation
-from vislam.evaluation.attribution import Rung
+from vislam.evaluation.attribution import AblationStep
 from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import mean_step_ms
 from vislam.evaluation.metric import LAG_METRICS, METRICS, is_error
@@ -70,23 +70,23 @@ def _errors(scores: TrajectoryScores) -> Iterator[tuple[str, str, float, Statist
             yield f"over {length:g} m", "deg", degrees, one.rotation
 
 
-def rungs_table(rungs: Sequence[Rung]) -> Table:
+def ablation_table(steps: Sequence[AblationStep]) -> Table:
     """A row for each step of the ablation chain, against the one before."""
-    title = METRICS[rungs[0].key].short_title if rungs else ""
+    title = METRICS[steps[0].key].short_title if steps else ""
     header = ["step", "adds"]
     header += [f"filtered {title} [m]", "change [m]", f"smoothed {title} [m]", "change [m]"]
     header.append("smoothed less filtered [m]")
     rows = [
         [
-            rung.run,
-            rung.adds,
-            _metres(rung.filtered, ".2f"),
-            _metres(rung.filtered_change, "+.2f"),
-            _metres(rung.smoothed, ".2f"),
-            _metres(rung.smoothed_change, "+.2f"),
-            _metres(rung.smoothing, "+.2f"),
+            step.run,
+            step.adds,
+            _metres(step.filtered, ".2f"),
+            _metres(step.filtered_change, "+.2f"),
+            _metres(step.smoothed, ".2f"),
+            _metres(step.smoothed_change, "+.2f"),
+            _metres(step.smoothing, "+.2f"),
         ]
-        for rung in rungs
+        for step in steps
     ]
     return Table(header, rows)
 
@@ -120,7 +120,7 @@ def certainty_table(evaluation: Evaluation) -> Table:
     for name, estimate, pair in _pairs(evaluation):
         found = pair.agreement
         if found is not None:
-            certainty, frame = found.certainty(), found.parting()
+            certainty, frame = found.certainty(), found.divergence()
             told = [f"{found.per_freedom:.2f}", f"{100.0 * found.share_beyond():.0f} %"]
             told += ["never" if frame is None else str(frame), plain(certainty.overall)]
             told += [certainty.smallest_along, certainty.largest_along]

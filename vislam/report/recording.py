@@ -101,7 +101,7 @@ def _entity(*parts: str) -> str:
 
 def _about(runs: Mapping[str, Run], record: Record, title: str) -> str:
     lines = [f"# {_literal(title)}", ""]
-    if record.stand_in:
+    if record.synthetic:
         lines += ["**The data are simulated**, in place of a recording or without one.", ""]
     lines += [f"- {_literal(note)}" for note in record.notes]
     lines += [

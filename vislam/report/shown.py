@@ -11,7 +11,7 @@ from vislam.core.reference import Reference
 from vislam.core.run import ESTIMATES, Estimate, Run
 from vislam.evaluation import Evaluation
 from vislam.evaluation.agreement import Agreement
-from vislam.evaluation.attribution import Rung
+from vislam.evaluation.attribution import AblationStep
 from vislam.evaluation.scores import EstimateScores
 from vislam.evaluation.trajectory import distance_driven
 from vislam.evaluation.trajectory_scores import TrajectoryScores
@@ -30,7 +30,7 @@ class Shown:
     record : Record
         Of the sequence.
     evaluation : Evaluation
-    rungs : sequence of Rung
+    steps : sequence of AblationStep
     estimate : "filtered", "smoothed" or None
         The one that is shown, which is then the final one of the runs; None: whatever is theirs.
     """
@@ -38,16 +38,16 @@ class Shown:
     runs: Mapping[str, Run]
     record: Record
     evaluation: Evaluation
-    rungs: Sequence[Rung]
+    steps: Sequence[AblationStep]
     estimate: Estimate | None = None
 
     @classmethod
     def of(
-        cls, runs: Mapping[str, Run], record: Record, evaluation: Evaluation, rungs: Sequence[Rung]
+        cls, runs: Mapping[str, Run], record: Record, evaluation: Evaluation, steps: Sequence[AblationStep]
     ) -> "Shown":
         """Take the runs that are long enough, levelled as they were scored."""
         long_enough = {name: evaluation.scores[name].run for name, run in runs.items() if len(run.stamp) > 2}
-        return cls(long_enough, record, evaluation, rungs)
+        return cls(long_enough, record, evaluation, steps)
 
     @property
     def reference(self) -> Reference | None:

@@ -130,7 +130,7 @@ def simulate(
         track=tracks.track,
         pixels=tracks.pixels,
         row=np.arange(len(tracks.track)),
-        stand_in=True,
+        synthetic=True,
         digest=hashlib.sha256(tracks.pixels.tobytes() + twist.tobytes()).hexdigest(),
         counts={
             "frames": config.frames,

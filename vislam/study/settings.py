@@ -2,12 +2,15 @@
 
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from vislam.base.fields import STRICT
+from vislam.base.former import metric_key
 from vislam.core.run import Estimate
 
+MetricKey = Annotated[str, BeforeValidator(metric_key)]
+"""Key of a metric, as in ``metrics.json``; a former one is accepted."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -37,9 +40,9 @@ class LatinHypercube:
 class Ranking:
     """Whether a metric ranks runs as errors do, by keys of ``metrics.json``."""
 
-    by: str
+    by: MetricKey
     """The metric that ranks them."""
-    errors: Annotated[tuple[str, ...], Field(min_length=1)]
+    errors: Annotated[tuple[MetricKey, ...], Field(min_length=1)]
     """What its order is held against."""
     estimate: Estimate | None = None
     """Runs by their ``filtered`` or by their ``smoothed`` poses; null: each by its final ones."""
@@ -63,7 +66,7 @@ class StudyConfig:
     """An ablation in place of a grid: things done wrong by name, each as values by dotted path; the
     config itself has none of them. They are corrected in this order, and each is there and is corrected
     alone."""
-    metrics: tuple[str, ...] = ()
+    metrics: tuple[MetricKey, ...] = ()
     """Metrics that ``trials.csv`` shows; empty: all. The files of the trials have them all."""
     ranking: Ranking | None = None
     """A metric whose order of the runs of a seed, those of all points and estimators, is held against their

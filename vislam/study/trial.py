@@ -92,7 +92,7 @@ def _unheard() -> Iterator[None]:
 
 
 def _measure(config: Config) -> dict[str, Any]:
-    dataset = open_dataset(config.data, seed=config.seed, allow_stand_in=False, held_out=config.held_out)
+    dataset = open_dataset(config.data, seed=config.seed, allow_substitute=False, held_out=config.held_out)
     results = run_comparison(config, dataset, Silent())
     # An incomplete run has errors of the frames it finished: they are not those of the others.
     complete = {name: run for name, run in results.runs.items() if run.complete}

@@ -91,7 +91,9 @@ class EkfEstimator:
             record = self._advance(self.state, frame)
         if self._last is not None:
             self._last.follow(steps, self.state)
-        return record if self._meter is None else replace(record, world_gained=self._meter.follow(steps))
+        return (
+            record if self._meter is None else replace(record, spurious_information=self._meter.follow(steps))
+        )
 
     def finalize(self) -> Final:
         """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""

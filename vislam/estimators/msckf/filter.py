@@ -94,7 +94,7 @@ class MsckfEstimator:
             dof=fused.dof,
             used=_of_the_frame(fused.tracks, frame),
             gated=_of_the_frame(fused.gated, frame),
-            world_gained=(gained + fused.world_gained) * self._free,
+            spurious_information=(gained + fused.spurious_information) * self._free,
         )
 
     def finalize(self) -> Final:
@@ -160,9 +160,9 @@ class MsckfEstimator:
         update = self.window.correct(jacobian, residual, np.ones(len(residual)))
         if kernel is not None:
             # Weighted residuals are no chi-square numbers.
-            return _Fused(tracks, gated, world_gained=gained)
+            return _Fused(tracks, gated, spurious_information=gained)
         dof = int(np.sum(3 * tracks.length - POINT))
-        return _Fused(tracks, gated, nis=update.nis + rest, dof=dof, world_gained=gained)
+        return _Fused(tracks, gated, nis=update.nis + rest, dof=dof, spurious_information=gained)
 
     def _triangulated(self, ended: Packed) -> tuple[Packed, Constraints]:
         """Tracks that are long enough and have a landmark, linearised; the others are counted."""
@@ -201,7 +201,7 @@ class _Fused:
     gated: Packed
     nis: float = 0.0
     dof: int = 0
-    world_gained: Array = field(default_factory=lambda: np.zeros(6))
+    spurious_information: Array = field(default_factory=lambda: np.zeros(6))
 
 
 def _of_the_frame(tracks: Packed, frame: Frame) -> BoolArray:

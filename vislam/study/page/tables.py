@@ -31,7 +31,7 @@ from vislam.study.page.labels import (
 from vislam.study.settings import Ranking
 from vislam.study.trials import Trials
 
-CLAIMS = {"nis_per_dof": mean, "yaw_information_gained": median}
+CLAIMS = {"nis_per_dof": mean, "spurious_yaw_information": median}
 """What else speaks for consistency, and what is shown of it over trials: a gain may span decades."""
 
 
