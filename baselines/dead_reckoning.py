@@ -36,7 +36,9 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
 
 
 class DeadReckoning:
-    """Integrates the twist less the prior mean of its bias (eqs. 23 to 25), and the vertical velocity.
+    """Integrates the twist less the prior mean of its bias on SE(3), and the vertical velocity.
+
+    The course report's eqs. 23 to 25.
 
     Where the vertical velocity is in use (``noise.vertical_velocity``) the height is its integral, and the
     twist has no say in it; nothing is fused. The height's variance is that of the walk of the integral and of

@@ -17,8 +17,8 @@ from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.geometry import se3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise
+from vislam_baselines.observations import NEAREST, Observations, look, pixel_variances
 from vislam_baselines.saved import SavedRun
-from vislam_baselines.sightings import NEAREST, Sightings, look, pixel_variances
 
 _OTHER_MAP_PX = 20.0
 """A map half of whose points are farther from the pixels, seen from its own pose, is of other tracks."""
@@ -37,7 +37,7 @@ class KnownMapOptions:
     bias: bool = False
     """Estimate the twist bias; false: it is its prior mean, as in the report, which has none."""
     gate: bool = True
-    """Refuse observations by a chi-square test of their innovation."""
+    """Reject observations by a chi-square test of their innovation."""
 
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "KnownMap":
@@ -46,7 +46,9 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "KnownMap":
 
 
 class KnownMap:
-    """Predicts by eqs. (23) to (25), updates by eq. (14), with the sign and the inverse that eq. (26) lacks.
+    """EKF of the pose with a known map (Barfoot 2017, section 4.2.3).
+
+    The course report's eqs. 14 and 23 to 26, with the sign and the inverse that eq. 26 lacks.
 
     A landmark is as wrong in one frame as in the next. Its covariance is taken for noise that is new in every
     frame, so the pose is surer of itself than the map can make it.
@@ -163,7 +165,7 @@ class _Innovation:
     unit: Array
 
     @classmethod
-    def of(cls, seen: Sightings, z: Array, noise: Array) -> "_Innovation":
+    def of(cls, seen: Observations, z: Array, noise: Array) -> "_Innovation":
         """Innovation of measurements ``(n, 3)`` [px] with noise ``(n, 3, 3)`` [px^2]."""
         root = np.linalg.cholesky(noise)
         jacobian = np.zeros((len(z), 3, NAV))

@@ -8,7 +8,7 @@ import numpy as np
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.geometry import se3
 from vislam.models import StereoRig
-from vislam_baselines.sightings import Sightings
+from vislam_baselines.observations import Observations
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class IndependentLandmarks:
 def initialise(
     rig: StereoRig, world_T_imu: Array, track: IntArray, z: Array, variance: Array
 ) -> IndependentLandmarks:
-    """Landmarks of tracks ``(n,)`` from their first measurements (eq. 20, y from the row).
+    """Landmarks of tracks ``(n,)`` from their first measurements (course report, eq. 20, y from the row).
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def initialise(
 
 
 def update(
-    landmarks: IndependentLandmarks, seen: Sightings, z: Array, variance: Array
+    landmarks: IndependentLandmarks, seen: Observations, z: Array, variance: Array
 ) -> tuple[IndependentLandmarks, float, float]:
-    """Update each landmark with its own measurement (eq. 14, the covariance in Joseph's form).
+    """Kalman update of each landmark by its own measurement, in Joseph's form (Barfoot 2017, section 4.2.3).
 
     Parameters
     ----------
     landmarks : IndependentLandmarks
-    seen : Sightings
+    seen : Observations
         As predicted.
     z, variance : (m, 3)
         As measured [px], and the variances [px^2].

@@ -16,8 +16,8 @@ from vislam.core.step import Final, Step
 from vislam.core.trajectory import Landmarks
 from vislam_baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
 from vislam_baselines.landmarks import IndependentLandmarks, initialise, update
+from vislam_baselines.observations import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 from vislam_baselines.saved import SavedRun
-from vislam_baselines.sightings import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -1,8 +1,10 @@
 """The course report's visual-inertial SLAM (section III-D), each trait that made it fail an option.
 
-One dense filter of the pose and all landmarks so far, eqs. (25) to (29). As its options stand it is the
-report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors: independent``), as
-tests show. What was wrong with the data rather than with the filter is switched in ``data.repair``.
+One dense filter of the pose and all landmarks so far, the EKF of Barfoot, *State Estimation for Robotics*
+(2017), section 4.2.3, as eqs. (25) to (29) of the report print it; equation numbers are the report's. By
+default it is the report's; with all of them mended it is the plain joint EKF (``ekf`` with ``track_errors:
+independent``), as tests show. What was wrong with the data rather than with the filter is switched in
+``data.repair``.
 """
 
 from collections.abc import Mapping
@@ -25,11 +27,11 @@ from vislam.geometry import se3, so3
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE
 from vislam_baselines.landmarks import IndependentLandmarks, initialise
-from vislam_baselines.sightings import NEAREST, pixel_variances
+from vislam_baselines.observations import NEAREST, pixel_variances
 from vislam_baselines.twist import Integration, step_twist
 
 _NO_DEPTH = 1e-2
-"""A landmark nearer than this to the plane of the camera, before or behind it, has no sighting [m]."""
+"""A landmark nearer than this to the plane of the camera, before or behind it, has no observation [m]."""
 _ROUNDING = 1e-6
 """Negative eigenvalues of a covariance up to this share of its largest entry are rounding."""
 
@@ -41,15 +43,16 @@ class ReportEkfOptions:
     """Traits of the filter; each default is the report's."""
 
     jacobian: Literal["as_printed", "without_sign", "derived"] = "as_printed"
-    """Derivative of a sighting by the pose. ``as_printed``: eq. (26), without its sign and with the pose
+    """Derivative of an observation by the pose. ``as_printed``: eq. (26), without its sign and with the pose
     where its inverse belongs. ``without_sign``: with the inverse. ``derived``: with both."""
     covariance: Literal["as_printed", "joseph"] = "as_printed"
     """``as_printed``: (I - K H) P, which is a covariance for the optimal gain and exact arithmetic only.
     ``joseph``: the form that stays positive (Bucy and Joseph 1968), kept symmetric: what rounding adds of an
-    antisymmetric part, no sighting takes away again."""
+    antisymmetric part, no observation takes away again."""
     new_landmarks: Literal["independent", "correlated"] = "independent"
     """``independent``: a new landmark gets ``landmark_variance``, nothing in common with the pose it was seen
-    from, and its sighting is fused once more. ``correlated``: covariance of pose and sighting, used once."""
+    from, and its observation is fused once more. ``correlated``: covariance of pose and observation, used
+    once."""
     integration: Integration = "first"
     """Twist of a step: the sample at its beginning, or the mean over it."""
     motion_variance: Variances | None = (0.1, 0.1, 0.1, 1.0, 1.0, 1.0)
@@ -63,7 +66,7 @@ class ReportEkfOptions:
     bias: bool = False
     """Whether the bias of the twist is estimated."""
     gate: bool = False
-    """Whether sightings are refused by a chi-square test of their innovation, or as behind the camera."""
+    """Whether observations are rejected by a chi-square test of their innovation, or as behind the camera."""
     pose_gain: Annotated[float, Field(ge=0, le=1)] = 1.0
     """What the correction of the pose is multiplied by; the report's Fig. 5 was made with 0.01."""
     every: Annotated[int, Field(ge=1)] = 20
@@ -185,7 +188,7 @@ class ReportEkf:
         self.cov[:NAV, :NAV] += noise
 
     def _update(self, frame: Frame, wanted: BoolArray) -> tuple[BoolArray, BoolArray, float]:
-        """Eqs. (28) and (29) with the wanted sightings; which were fused, which gated, and their NIS."""
+        """Eqs. (28) and (29) with the wanted observations; which were fused, which gated, and their NIS."""
         rig = self._problem.rig
         rows = np.flatnonzero(wanted)
         slots = _places(self.track, frame.stereo.track[rows])
@@ -238,7 +241,7 @@ class ReportEkf:
     def _distances(
         self, innovation: Array, by_pose: Array, by_point: Array, slots: IntArray, variance: Array
     ) -> Array:
-        """Squared Mahalanobis distance ``(n,)`` of each sighting."""
+        """Squared Mahalanobis distance ``(n,)`` of each observation."""
         place = NAV + 3 * slots[:, None] + np.arange(3)
         own = np.concatenate([np.broadcast_to(np.arange(6), (len(slots), 6)), place], axis=1)
         jacobian = np.concatenate([by_pose, by_point], axis=2)
@@ -248,12 +251,12 @@ class ReportEkf:
         return np.asarray(np.sum(innovation * weighted, axis=1))
 
     def _append_independent(self, frame: Frame, rows: IntArray) -> None:
-        """Place new landmarks at their first sighting (eq. 20)."""
+        """Place new landmarks at their first observation (eq. 20)."""
         prior = self._options.landmark_variance * np.eye(3 * len(rows))
         self._grow(self._first(frame, rows), np.zeros((3 * len(rows), len(self.cov))), prior)
 
     def _append_correlated(self, frame: Frame, rows: IntArray) -> None:
-        """Place new landmarks at their first sighting, with the covariance of pose and sighting."""
+        """Place new landmarks at their first observation, with the covariance of pose and observation."""
         new, rig = self._first(frame, rows), self._problem.rig
         in_imu = se3.transform(rig.imu_T_cam, rig.back_project(frame.stereo.z[rows]))
         rotation = self.world_T_imu[:3, :3]
@@ -264,7 +267,7 @@ class ReportEkf:
         self._grow(new, grow, noise.reshape(3 * len(rows), 3 * len(rows)))
 
     def _first(self, frame: Frame, rows: IntArray) -> IndependentLandmarks:
-        """Landmarks as a sighting alone places them."""
+        """Landmarks as an observation alone places them."""
         variance = pixel_variances(frame, self._options.pixel_variance)[rows]
         return initialise(
             self._problem.rig, self.world_T_imu, frame.stereo.track[rows], frame.stereo.z[rows], variance

@@ -1,10 +1,10 @@
 """Motion of the body between two frames from the stereo tracks that they share, by a robust fit.
 
 A track is triangulated in the earlier frame and seen from the later. Each residual has a covariance of its
-own: white noise of both frames, a step of the tracker's drift, and the match error of the track, which puts
-the point at a wrong depth and comes again in the later disparity. :func:`vislam.core.rigid_fit.fit_rigid`,
-by which the repairs vote, knows none of these: its spread depends on the disparity alone, and its scale is
-fitted.
+own: white noise of both frames, a step of the tracker's drift, and the stereo-matching bias of the track,
+which puts the point at a wrong depth and comes again in the later disparity.
+:func:`vislam.core.rigid_fit.fit_rigid`, by which the repairs vote, knows none of these: its spread depends on
+the disparity alone, and its scale is fitted.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from vislam.base.types import Array, BoolArray
 from vislam.core.rigid_fit import FEWEST
 from vislam.geometry import se3
 from vislam.models import StereoRig, TrackNoise
-from vislam_baselines.sightings import NEAREST, Sightings, look
+from vislam_baselines.observations import NEAREST, Observations, look
 
 _FREEDOM = 2.0
 """Degrees of freedom of the Student distribution that residuals of recorded tracks have."""
@@ -109,12 +109,12 @@ def fit_step(
     in_imu = se3.transform(rig.imu_T_cam, points)
     motion = start
     for _ in range(_ITERATIONS):
-        sightings = look(rig, motion, in_imu)
-        seen = sightings.depth > NEAREST
+        observations = look(rig, motion, in_imu)
+        seen = observations.depth > NEAREST
         if np.count_nonzero(seen) < FEWEST:
             return None
-        spread = residual_cov(rig, noise, before, points, sightings)
-        residual, jacobian = _whitened(after - sightings.z, sightings.by_pose, spread)
+        spread = residual_cov(rig, noise, before, points, observations)
+        residual, jacobian = _whitened(after - observations.z, observations.by_pose, spread)
         square = np.einsum("ni,ni->n", residual, residual)
         weight = seen * (_FREEDOM + 3.0) / (_FREEDOM + square)
         weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
@@ -148,7 +148,7 @@ def _whitened(residual: Array, jacobian: Array, cov: Array) -> tuple[Array, Arra
 
 
 def residual_cov(
-    rig: StereoRig, noise: TrackNoise, before: Array, points: Array, sightings: Sightings
+    rig: StereoRig, noise: TrackNoise, before: Array, points: Array, observations: Observations
 ) -> Array:
     """Covariance ``(n, 3, 3)`` [px^2] of measured less predicted.
 
@@ -158,15 +158,16 @@ def residual_cov(
     noise : TrackNoise
     before, points : (n, 3)
         Earlier measurements [px], and the points in the earlier camera that they make [m].
-    sightings : Sightings
+    observations : Observations
         Of these points, from the later frame.
     """
     white = np.diag(noise.sigma**2)
-    by_camera = sightings.by_point @ rig.imu_T_cam[:3, :3]
+    by_camera = observations.by_point @ rig.imu_T_cam[:3, :3]
     by_before = by_camera @ rig.back_projection_jacobian(before)
-    # With its match error e a track's point is 1 + e times as far away, and so is every disparity of it.
+    # With its stereo-matching bias e a track's point is 1 + e times as far away, and so is every disparity of
+    # it.
     by_match = (by_camera @ points[:, :, None])[:, :, 0]
-    by_match[:, 1] -= sightings.z[:, 0] - sightings.z[:, 1]
+    by_match[:, 1] -= observations.z[:, 0] - observations.z[:, 1]
     by_match *= noise.match_sigma(before[:, 0] - before[:, 1])[:, None]
     carried = by_before @ white @ by_before.transpose(0, 2, 1)
     return white + noise.drift**2 * _DRIFT + carried + by_match[:, :, None] * by_match[:, None, :]

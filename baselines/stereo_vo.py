@@ -15,7 +15,7 @@ from vislam.core.rigid_fit import FEWEST
 from vislam.core.step import Final, Step
 from vislam.geometry import se3
 from vislam.models import odometry as motion
-from vislam_baselines.sightings import SMALLEST_DISPARITY
+from vislam_baselines.observations import SMALLEST_DISPARITY
 from vislam_baselines.stereo_step import Prior, StepFit, fit_step
 
 
@@ -36,8 +36,8 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "StereoVo":
 class StereoVo:
     """Strings together the steps that the tracks of two successive frames make.
 
-    The covariance takes steps for independent, which is an approximation: a sighting ends one step and begins
-    the next, a track keeps its match error, and inertial steps share their bias.
+    The covariance takes steps for independent, which is an approximation: an observation ends one step and
+    begins the next, a track keeps its stereo-matching bias, and inertial steps share their bias.
     """
 
     def __init__(self, problem: Problem, options: StereoVoOptions) -> None:

@@ -43,7 +43,7 @@ def projection_derivative(q):
 
 
 class JointFilter:
-    """Eqs. (14) to (20), with all landmarks in one state and four rows a sighting."""
+    """Eqs. (14) to (20), with all landmarks in one state and four rows an observation."""
 
     def __init__(self, rig, variance):
         self.rig, self.variance = rig, variance
@@ -170,7 +170,7 @@ def test_a_landmark_outlives_observations_that_are_refused(short, short_config):
     run = mapped(short_config, short, every=1, usable=~refused)
     assert not run.used[refused].any()
     assert len(np.unique(run.landmarks.track)) == len(run.landmarks.track)
-    # All but the first sighting of each is an update.
+    # All but the first observation of each is an update.
     assert run.innovations.dof.sum() == 3 * (np.count_nonzero(run.used) - len(run.landmarks.track))
 
 

@@ -18,7 +18,7 @@ from vislam.geometry import se3
 from vislam.models import CAMERA_AXES, StereoRig, TrackNoise
 from vislam.models import odometry as motion
 from vislam_baselines import stereo_vo
-from vislam_baselines.sightings import look
+from vislam_baselines.observations import look
 from vislam_baselines.stereo_step import Prior, fit_step, residual_cov
 
 CONFIGS = Path(__file__).parents[2] / "configs"

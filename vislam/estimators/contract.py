@@ -43,7 +43,7 @@ def check_interface(estimator: Any) -> None:
         takes.bind(None)
     except TypeError:
         raise ContractError(
-            f"process must take (frame), got {takes}: what was refused is now ~frame.stereo.usable"
+            f"process must take (frame), got {takes}: what was rejected is now ~frame.stereo.usable"
         ) from None
 
 

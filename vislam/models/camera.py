@@ -65,7 +65,7 @@ class Camera:
     coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a wrong number of coefficients."""
+        """Reject a wrong number of coefficients."""
         if len(self.coefficients) not in self.lens.counts:
             wanted = " or ".join(map(str, self.lens.counts))
             raise ValueError(

@@ -57,7 +57,7 @@ class ImuNoise:
     gravity: float = GRAVITY
 
     def __post_init__(self) -> None:
-        """Refuse what is no noise."""
+        """Reject what is no noise."""
         for name in ("gyro_density", "accel_density", "gravity"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name):g}")

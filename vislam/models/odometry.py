@@ -5,7 +5,8 @@ The recorded twist u carries a bias b and white noise. Over a step of length dt
     T_k = T_{k-1} exp(dt (u - b)) exp(w),    b_k = b_{k-1} + w_b,
 
 with w of covariance ``J diag(density^2) J^T dt`` (J the right Jacobian at the step) and w_b of
-covariance ``diag(walk^2) dt``. The report's eq. (23) is the special case without a bias.
+covariance ``diag(walk^2) dt``. It is integration on SE(3) (Barfoot, *State Estimation for
+Robotics*, 2017, section 7.2); the course report's eq. 23 is the special case without a bias.
 
 Where the velocity's direction a in the body is estimated, two small angles to the left and up [rad], the
 recorded velocity is off by ``u_x a`` beside its bias: a body whose axes are not those of its instrument sees
@@ -88,8 +89,8 @@ def integrate(twist: Array, *, bias: Array, dt: float, noise: MotionNoise) -> St
 def transition(step: Step) -> tuple[Array, Array]:
     """F and Q ``(12, 12)`` of the navigation error (pose, bias) over a step.
 
-    With the error on the right, ``eps' = Ad(prev_T_next^-1) eps + by_bias db + w``; the report's
-    eq. (25) with the bias added.
+    With the error on the right, ``eps' = Ad(prev_T_next^-1) eps + by_bias db + w`` (Sola, Deray, Atchuthan,
+    *A micro Lie theory*, 2018, section II); the course report's eq. 25 with the bias added.
     """
     transition_matrix = np.eye(NAV)
     transition_matrix[POSE, POSE] = se3.adjoint(se3.inverse(step.prev_T_next))

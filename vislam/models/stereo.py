@@ -53,7 +53,11 @@ class StereoRig:
         return replace(self, imu_T_cam=self.imu_T_cam.copy())
 
     def project(self, points_cam: Array) -> Array:
-        """Measurement ``(n, 3)`` [px] of points ``(n, 3)`` [m] in the left camera frame (eq. 7)."""
+        """Measurement ``(n, 3)`` [px] of points ``(n, 3)`` [m] in the left camera frame.
+
+        Barfoot, *State Estimation for Robotics* (2017), section 6.4.2, with the mean row (course report, eq.
+        7).
+        """
         x, y, z = np.moveaxis(points_cam, -1, 0)
         return np.stack(
             [
@@ -65,7 +69,7 @@ class StereoRig:
         )
 
     def projection_jacobian(self, points_cam: Array) -> Array:
-        """Derivative of :meth:`project`, ``(n, 3, 3)`` [px/m] (eq. 17 times the calibration)."""
+        """Derivative of :meth:`project`, ``(n, 3, 3)`` [px/m] (course report, eq. 17, calibrated)."""
         x, y, z = np.moveaxis(points_cam, -1, 0)
         out = np.zeros((*points_cam.shape, 3))
         out[..., 0, 0] = out[..., 1, 0] = self.fx / z
@@ -78,8 +82,8 @@ class StereoRig:
     def back_project(self, z: Array) -> Array:
         """Points ``(n, 3)`` [m] in the left camera frame of measurements ``(n, 3)`` [px].
 
-        Eq. (20) with its slip corrected: y comes from the row, ``y = (v - cy) z / fy``.
-        The disparity ``uL - uR`` must not be zero.
+        The inverse of :meth:`project`; in the course report's eq. 20, y does not come from the row as it
+        should, ``y = (v - cy) z / fy``. The disparity ``uL - uR`` must not be zero.
         """
         depth = self.fx * self.baseline / (z[..., 0] - z[..., 1])
         return np.stack(

@@ -1,8 +1,8 @@
-"""The way back: what all data say about each landmark that has left the state, and about each pose.
+"""The backward pass: what all data say about each landmark that has left the state, and about each pose.
 
 The filter's steps are recorded as far as memory allows. Older stretches are dropped and only the state at
-their start is kept, from which they are computed once more when the way back comes to them; where even these
-states become too many, every other one goes.
+their start is kept, from which they are computed once more when the backward pass comes to them; where even
+these states become too many, every other one goes.
 """
 
 from collections.abc import Callable, Iterator, Sequence

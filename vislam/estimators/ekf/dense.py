@@ -1,6 +1,8 @@
 """The textbook joint filter over all landmarks, every matrix formed: the reference to read and test against.
 
-Slow on purpose. Equation numbers are the report's (section III-D); its slips are mended where named.
+Slow on purpose. The filter is that of Barfoot, *State Estimation for Robotics* (2017), section 4.2.3, on
+SE(3) (chapter 7). Equation numbers are those of the course report (section III-D); its errors are corrected
+where named.
 """
 
 from collections.abc import Sequence
@@ -29,7 +31,7 @@ class DenseFilter:
     track : list of int
         All landmarks so far.
     anchors, landmarks : (m, 4, 4), (m, 4)
-        In the order of ``track``; a landmark is its coordinates and the error of its match.
+        In the order of ``track``; a landmark is its coordinates and its stereo-matching bias.
     past : list of (4, 4)
         Poses at the frames, each corrected by what came later; empty unless asked for.
     cov : (d, d)
@@ -86,7 +88,7 @@ class DenseFilter:
             self._grow(("pose", frame.k), np.eye(6, len(self.cov)), np.zeros((6, 6)))
 
     def _predict(self, frame: Frame) -> None:
-        """Eq. (25) with the bias added."""
+        """Prediction (Barfoot, section 4.2.3; the course report's eq. 25 with the bias added)."""
         step = motion.integrate(frame.odometry.twist, bias=self.bias, dt=frame.dt, noise=self._problem.noise)
         block, noise = motion.transition(step)
         transition = np.eye(len(self.cov))
@@ -96,7 +98,7 @@ class DenseFilter:
         self.cov[:NAV, :NAV] += noise
 
     def _drift(self, frame: Frame, rows: Sequence[int]) -> None:
-        """Let the points of the tracks in view walk, column and row."""
+        """Add the tracker drift of the tracks in view, column and row."""
         for slot in self._slots(frame, rows):
             view = self._camera.view(
                 self.world_T_imu, self._nav, self.anchors[[slot]], self.landmarks[[slot]]
@@ -106,7 +108,7 @@ class DenseFilter:
             self.cov[start : start + 3, start : start + 3] += step[0]
 
     def _update(self, frame: Frame, rows: Sequence[int]) -> None:
-        """Eqs. (28) and (29), with the sign and the inverse that eq. (26) lacks."""
+        """Correction (Barfoot, section 4.2.3; eqs. 28 and 29 with the sign and inverse that eq. 26 lacks)."""
         slots = self._slots(frame, rows)
         anchors, landmarks = self.anchors[slots], self.landmarks[slots]
         predicted = self._camera.view(self.world_T_imu, self._nav, anchors, landmarks).measurement()
@@ -122,13 +124,13 @@ class DenseFilter:
         spread = jacobian @ self.cov @ jacobian.T + noise
         gain = np.linalg.solve(spread, jacobian @ self.cov).T
         correction = gain @ (frame.stereo.z[list(rows)] - predicted).ravel()
-        # Eq. (29) in Joseph's form: as printed it loses symmetry, and with it, over a drive, everything.
+        # Joseph's form of eq. (29), which loses symmetry as printed, and diverges over a long sequence.
         kept = np.eye(len(self.cov)) - gain @ jacobian
         self.cov = kept @ self.cov @ kept.T + gain @ noise @ gain.T
         self._retract(correction)
 
     def _append(self, frame: Frame, row: int) -> None:
-        """Append the landmark of eq. (20), its covariance that of pose and measurement."""
+        """Append a triangulated landmark (eq. 20), with the covariance of pose and measurement."""
         z, noise = frame.stereo.z[[row]], self._problem.track_noise
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(self.world_T_imu, self._nav, z)
         variance = np.concatenate([noise.sigma, noise.match_sigma(z[:, 0] - z[:, 1])]) ** 2

@@ -34,8 +34,8 @@ class EkfEstimator:
     """Joint EKF over navigation state and the landmarks in view (report, section III-D).
 
     A landmark leaves the state when its track ends. It would never be measured again, so the rest of the
-    state is as if it had stayed; what later data say about it, it is told by the way back in the end. Where
-    landmarks are seen again, those out of view that are remembered stay in the state.
+    state is as if it had stayed; what later data say about it, it is told by the backward pass in the end.
+    Where landmarks are seen again, those out of view that are remembered stay in the state.
 
     Attributes
     ----------
@@ -70,7 +70,9 @@ class EkfEstimator:
             self._meter = Unobservable(start.layout, start.world_T_imu, start.nav)
         self._last = None if problem.lags is None else LastPoses(problem.lags)
         self.information = {
-            "noise of the tracks": "independent" if self._independent else "drift and match error as states",
+            "noise of the tracks": "independent"
+            if self._independent
+            else "drift and stereo-matching bias as states",
             "kernel": kernel_name(problem.kernel),
             **shared_information(problem, estimated=list(start.layout)),
             **self._motion.information,
@@ -126,7 +128,7 @@ class EkfEstimator:
         return backward.smooth(self.state, self._recorder)
 
     def matching_biases(self) -> tuple[IntArray, Array, Array]:
-        """Tracks that have ended, their match errors and the variances of these, ``(m,)`` each."""
+        """Tracks that have ended, their stereo-matching biases and the variances of these, ``(m,)`` each."""
         table = np.concatenate(self._matches)
         return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
@@ -230,7 +232,7 @@ class EkfEstimator:
     def _linearise(
         self, state: JointState, view: View, z: Array, slots: IntArray, *, correction: Array | None = None
     ) -> "_Innovation":
-        """Linearise the sightings of a view, which is that of the state or of where a correction leads."""
+        """Linearise the observations of a view, which is that of the state or of where a correction leads."""
         seen_from = view
         if state.form == "fej":
             first = state.linearised_at[slots]
@@ -310,7 +312,7 @@ class EkfEstimator:
 
 @dataclass(frozen=True)
 class _Innovation:
-    """Linearised sightings of all landmarks of the state.
+    """Linearised observations of all landmarks of the state.
 
     Attributes
     ----------
@@ -327,19 +329,19 @@ class _Innovation:
     spread: Array
 
     def distances(self, variance: Array) -> Array:
-        """Squared Mahalanobis distance ``(n,)`` of each sighting of white noise ``variance (n, 3)``."""
+        """Squared Mahalanobis distance ``(n,)`` of each observation of white noise ``variance (n, 3)``."""
         n, each = len(variance), np.arange(len(variance))
         own = self.spread.reshape(n, 3, n, 3)[each, :, each] + variance[:, :, None] * np.eye(3)
         value = self.value.reshape(n, 3)
         return np.einsum("ni,ni->n", value, np.linalg.solve(own, value[:, :, None])[:, :, 0])
 
     def of(self, good: BoolArray) -> tuple[Array, Array]:
-        """``value`` and ``spread`` of the good sightings, as copies."""
+        """``value`` and ``spread`` of the good observations, as copies."""
         rows = np.flatnonzero(np.repeat(good, 3))
         return self.value[rows], self.spread[np.ix_(rows, rows)]
 
     def update(self, variance: Array, good: BoolArray) -> Update:
-        """Update with the good sightings; uses up ``projected`` and ``spread``."""
+        """Update with the good observations; uses up ``projected`` and ``spread``."""
         self.spread.reshape(-1)[:: len(self.spread) + 1] += variance.reshape(-1)
         if good.all():
             return Update.of(self.jacobian, self.projected, self.spread, self.value)

@@ -1,9 +1,9 @@
 """Poses of the last frames as later frames tell them, carried forward with the filter.
 
-The way back (:mod:`vislam.estimators.ekf.backward`) to frame k from every frame k + L would take as many ways
-back as frames. The same smoothed poses come about on the way forward, a fixed-point smoother for each of the
-last frames: with C the covariance of the pose's error at its own frame with the error of the joint state now,
-and M what a step does to the latter,
+The backward pass (:mod:`vislam.estimators.ekf.backward`) to frame k from every frame k + L would take as many
+backward passes as frames. The same smoothed poses come about on the way forward, a fixed-point smoother for
+each of the last frames: with C the covariance of the pose's error at its own frame with the error of the
+joint state now, and M what a step does to the latter,
 
     C <- C M^T,
 

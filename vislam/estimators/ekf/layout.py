@@ -10,7 +10,7 @@ from vislam.models.imu import VELOCITY
 from vislam.models.odometry import POSE
 
 LANDMARK = 4
-"""Size of a landmark: three coordinates, and the error of its match (``vislam.models.track_noise``)."""
+"""Size of a landmark: three coordinates, and its stereo-matching bias (``vislam.models.track_noise``)."""
 
 
 class NavLayout:

@@ -66,7 +66,7 @@ class Adjoint:
 
 
 class Step:
-    """One linear step of the error; what a subclass holds is what the way back needs."""
+    """One linear step of the error; what a subclass holds is what the backward pass needs."""
 
     def back(self, after: Adjoint) -> Adjoint:
         """Adjoint before the step from that after it, which may be used up; the same if the error stays."""
@@ -124,7 +124,7 @@ class Jacobian:
 
 @dataclass(frozen=True)
 class Update(Step):
-    """A measurement (eqs. 28 and 29): ``x <- x + K (innovation - H x)``.
+    """Measurement, ``x <- x + K (innovation - H x)`` (Barfoot 2017, 4.2.3; course report, eqs. 28, 29).
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class Update(Step):
 
 @dataclass(frozen=True)
 class Move(Step):
-    """A motion of the navigation state: ``x <- F x + w`` (eq. 25).
+    """Motion of the navigation state, ``x <- F x + w`` (Barfoot 2017, 4.2.3; course report, eq. 25).
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The measurements of the joint state: values and Jacobians of stereo sightings.
+"""The measurements of the joint state: values and Jacobians of stereo observations.
 
 A landmark is (q, e): three coordinates in a :mod:`parametrisation <vislam.estimators.ekf.parametrisation>`,
 and the share e by which its disparity is too large because the right patch follows another point than the
@@ -81,7 +81,7 @@ class Camera:
         return View(self, errors, rig, landmarks, homogeneous, cam_T_anchor, in_camera)
 
     def initialise(self, world_T_imu: Array, nav: Array, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Landmarks from their first measurement (eq. 20), the error of the match taken as 0.
+        """Landmarks triangulated from their first observation, the stereo-matching bias taken as 0.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Camera:
         by_nav : (n, 4, d_nav)
             Derivative with respect to the navigation state.
         by_measurement : (n, 4, 4)
-            Derivative with respect to (uL, uR, v) and to the error of the match.
+            Derivative with respect to (uL, uR, v) and to the stereo-matching bias.
         """
         errors, parametrisation, n = self.errors(nav), self.parametrisation, len(z)
         rig = self.actual(errors)
@@ -197,10 +197,12 @@ class View:
         Returns
         -------
         by_nav : (n, 3, d_nav)
-            With respect to the navigation state. Its pose block is minus the derivative that the report's
-            eq. (26) has, whose sign and inverse are wrong.
+            With respect to the navigation state. Its pose block has minus the circle-dot operator of the
+            point in the body (Barfoot 2017, section 7.1.8); the course report's eq. 26 lacks sign and
+            inverse.
         by_landmark : (n, 3, 4)
-            With respect to the landmark (eq. 19, by the chain rule) and to the error of its match.
+            With respect to the landmark, by the chain rule (course report, eq. 19), and to its
+            stereo-matching bias.
         """
         rig = self.rig
         x, y, z, w = self.in_camera.T

@@ -34,7 +34,7 @@ def student_weights(
     quadratic that touches it at the residuals so far, and never raises it: it is the EM algorithm for the
     Student density (Lange, Little and Taylor, JASA 84, 1989). A smoother whose factors have the same kernel
     minimises the same sum over all frames; so the two have the same weights for the same residuals, and
-    differ in what residuals they have: a filter's are those at their own frame, and are not weighed anew by
+    differ in what residuals they have: a filter's are those at their own frame, and are not re-weighted by
     what comes later.
 
     Parameters

@@ -19,7 +19,7 @@ ErrorForm = Literal["standard", "fej", "invariant"]
 
 @dataclass(frozen=True)
 class Marginalised(Step):
-    """Landmarks about to leave the state: what later data say about them is asked for on the way back.
+    """Landmarks about to leave the state: what later data say about them is asked for in the backward pass.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Marginalised(Step):
 
 @dataclass(frozen=True)
 class PoseRows(Step):
-    """The pose at a frame, which later data are asked about on the way back.
+    """The pose at a frame, which later data are asked about in the backward pass.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class JointState:
         Frame in which each was in view last.
     cov : (d_nav + 4n, d_nav + 4n)
     steps : list of Step or None
-        Where steps are noted for the way back.
+        Where steps are noted for the backward pass.
     """
 
     def __init__(

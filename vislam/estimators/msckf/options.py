@@ -29,7 +29,7 @@ class MsckfOptions:
     """Reject tracks by a chi-square test of their projected residual."""
 
     def __post_init__(self) -> None:
-        """Refuse lengths that no track can have."""
+        """Reject lengths that no track can have."""
         if self.min_length > self.window + 1:
             raise ValueError(
                 f"min_length must be at most window + 1 = {self.window + 1}, got {self.min_length}"

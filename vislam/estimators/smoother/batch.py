@@ -98,7 +98,7 @@ class Drive:
         return self._whole
 
     def weighted(self, weights: Array | None = None) -> gtsam.NonlinearFactorGraph:
-        """All factors, made anew; ``weights`` are put on the squared residuals of the stereo ones."""
+        """All factors, rebuilt; ``weights`` are put on the squared residuals of the stereo ones."""
         graph = self.without_tracks()
         views = [(track.key, view) for track in self.tracks for view in track.views]
         scale = np.ones(len(views)) if weights is None else 1.0 / np.sqrt(np.maximum(weights, _NO_WEIGHT))
@@ -113,7 +113,7 @@ class Drive:
         return np.array(found).reshape(-1, 4, 4)
 
     def triangulated(self, values: gtsam.Values, *, clear: float) -> gtsam.Values:
-        """Values whose landmarks are triangulated anew from its poses, where their depth is clear."""
+        """Values whose landmarks are re-triangulated from its poses, where their depth is clear."""
         if not self.tracks:
             return values
         found = locate(self.rig, self.tracks, list(self.poses(values)), clear=clear)
@@ -166,7 +166,7 @@ class Drive:
         try:
             return self.system(values).marginals()
         except np.linalg.LinAlgError:
-            # Cholesky has refused; a tree by QR does not.
+            # Cholesky has failed; a tree by QR does not.
             return self._marginals_by_qr(values)
 
     def system(self, values: gtsam.Values) -> DriveSystem:
@@ -316,7 +316,7 @@ def only(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> gtsam.Value
 
 
 def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, budget: Budget) -> Descent:
-    """Levenberg-Marquardt with Cholesky, and from there with QR if steps were refused."""
+    """Levenberg-Marquardt with Cholesky, and from there with QR if steps were rejected."""
     found = descend(graph, start, solver="cholesky", budget=budget)
     if found.damped and not found.cut:
         found = descend(graph, found.values, solver="qr", budget=budget)

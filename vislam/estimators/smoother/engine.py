@@ -167,9 +167,9 @@ class WholeGraph(_Read):
     step costs the more the longer the tracks are, and the longer the drive.
 
     What is eliminated last carries all the drift: of its information, which is that of the last step, next to
-    nothing is left once all else is eliminated, and GTSAM's Cholesky refuses a pivot that has lost more than
-    seven digits. That is a matter of the order and not of the problem. So with Cholesky the very last is an
-    anchor, a pose that is tied to the newest one and to nothing else, and is taken out again by the next
+    nothing is left once all else is eliminated, and GTSAM's Cholesky fails for a pivot that has lost more
+    than seven digits. That is a matter of the order and not of the problem. So with Cholesky the very last is
+    an anchor, a pose that is tied to the newest one and to nothing else, and is taken out again by the next
     update. It tells nothing of the rest. But the others then keep what they have within the tie, and the
     anchor, whose own information is that of the tie alone, takes the loss from there to the drift: seven
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
@@ -216,7 +216,7 @@ class WholeGraph(_Read):
             for key in keys:
                 last.insert2(key, group)
         parameters.constrainedKeys = last
-        # By the frame: an engine that was built anew goes on where the one before would have.
+        # By the frame: an engine that was rebuilt goes on where the one before would have.
         if self._every and (frame + 1) % self._every == 0:
             parameters.force_relinearize = True
             parameters.noRelinKeys = self._resting

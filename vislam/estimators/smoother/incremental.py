@@ -36,7 +36,7 @@ class SmootherEstimator:
     behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is.
 
     A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there,
-    and from these, without the landmarks that broke it, the solver is built anew and the step repeated. The
+    and from these, without the landmarks that broke it, the solver is rebuilt and the step repeated. The
     rescue is counted and told.
 
     Attributes
@@ -109,7 +109,7 @@ class SmootherEstimator:
         )
 
     def _read_newest(self, frame: Frame, *, with_cov: bool) -> tuple[dict[str, State], Array | None]:
-        """States and, if asked for, covariance of the newest pose, which GTSAM may refuse where it solved."""
+        """States and, if asked for, covariance of the newest pose, which GTSAM may fail to compute."""
         engine = self._solver.engine
         if with_cov:
             try:
@@ -229,7 +229,7 @@ class SmootherEstimator:
         anew = restarted(drive, values, self._problem, self._options, budget)
         if anew is None:
             return values
-        self._events.append("the estimate had diverged: found anew from the inertial path")
+        self._events.append("the estimate had diverged: re-initialised from the inertial path")
         return anew
 
 

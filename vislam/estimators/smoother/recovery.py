@@ -48,21 +48,21 @@ class _Way:
 class Recovery:
     """Repeats steps that could not be solved, from the factors and the linearisation point that are left.
 
-    Where Cholesky has refused, first with QR; then without the landmarks that lie where they cannot or that
+    Where Cholesky has failed, first with QR; then without the landmarks that lie where they cannot or that
     the error names, or that of the next try; then without any in view, and from the causal poses.
 
     The next step is one with QR as well, and after it the solver goes back to Cholesky, or stays with QR if
-    that refuses. Either way costs a solution of the whole graph, as much as many steps, and what was refused
+    that refuses. Either way costs a solution of the whole graph, as much as many steps, and what was rejected
     once is mostly refused again, as drift only grows. So QR stays for twice as many steps after each refusal:
-    a run of n steps has at most log2(n) + 1 of them, and a graph that Cholesky always refuses takes no longer
-    than with QR but for these.
+    a run of n steps has at most log2(n) + 1 of them, and a graph that Cholesky always fails for takes no
+    longer than with QR but for these.
 
     Attributes
     ----------
     rescues : int
         Steps that needed more than QR.
     refusals : int
-        Steps, and returns from QR, that Cholesky refused.
+        Steps, and returns from QR, at which Cholesky failed.
     by_qr : int
         Steps solved with QR.
     events : list of str

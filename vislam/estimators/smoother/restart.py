@@ -1,7 +1,7 @@
-"""The last resort of a smoother: a final estimate that is worse than no camera at all is found anew.
+"""The last resort of a smoother: a final estimate that is worse than no camera at all is re-initialised.
 
 iSAM2 takes Gauss-Newton steps without damping and leaves what lies behind as it was linearised. Where few
-tracks hold the estimate, a step may go so far astray that no later one comes back. Such an estimate gives
+tracks hold the estimate, a step may diverge so far that no later one comes back. Such an estimate gives
 itself away: its own cost is above that of the path that the twist alone makes, with the landmarks
 triangulated from it.
 """

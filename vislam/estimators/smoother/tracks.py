@@ -54,8 +54,8 @@ class Tracks:
     """All tracks of a drive, each in one of four places.
 
     A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not
-    have it, it ends. A track whose landmark went astray is set aside for as long as it lasts. Where landmarks
-    are seen again, a track that has ended comes back into view, and one that waits goes on waiting.
+    have it, it ends. A track whose landmark became degenerate is set aside for as long as it lasts. Where
+    landmarks are seen again, a track that has ended comes back into view, and one that waits goes on waiting.
 
     Parameters
     ----------

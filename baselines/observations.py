@@ -1,4 +1,8 @@
-"""Stereo observations of points from a pose, with both derivatives (course report, eqs. 16 to 19)."""
+"""Stereo observations of points from a pose, with both derivatives.
+
+Barfoot, *State Estimation for Robotics* (2017), sections 6.4.2 (stereo camera) and 7.1.8 (homogeneous
+points); the course report's eqs. 16 to 19 and 26.
+"""
 
 from dataclasses import dataclass
 
@@ -17,7 +21,7 @@ SMALLEST_DISPARITY = 0.5
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Observations:
     """What is seen of points; without a meaning where the depth is less than ``NEAREST``.
 
     Attributes
@@ -27,8 +31,8 @@ class Sightings:
     z : (n, 3)
         (uL, uR, v) [px].
     by_pose : (n, 3, 6)
-        Derivative of ``z`` by the pose, on its right: that of the report's eq. (26) with the sign and the
-        inverse that it lacks.
+        Derivative of ``z`` by the pose, on its right: the circle-dot operator of the point in the
+        body with a minus, which the course report's eq. 26 lacks together with the inverse.
     by_point : (n, 3, 3)
         Derivative of ``z`` by the point (eq. 19).
     """
@@ -38,23 +42,23 @@ class Sightings:
     by_pose: Array
     by_point: Array
 
-    def select(self, which: BoolArray) -> "Sightings":
+    def select(self, which: BoolArray) -> "Observations":
         """Those of a mask."""
-        return Sightings(self.depth[which], self.z[which], self.by_pose[which], self.by_point[which])
+        return Observations(self.depth[which], self.z[which], self.by_pose[which], self.by_point[which])
 
 
-def look(rig: StereoRig, world_T_imu: Array, points_world: Array) -> Sightings:
+def look(rig: StereoRig, world_T_imu: Array, points_world: Array) -> Observations:
     """Look at points ``(n, 3)`` [m] from a pose ``(4, 4)``.
 
     With ``T = world_T_imu exp(omega, v)`` and s the point in the body, ``T^-1 m`` changes by
-    ``s x omega - v``: the circled dot of eq. (26) with the sign that it lacks there.
+    ``s x omega - v``: minus the circle-dot operator (Barfoot 2017, section 7.1.8).
     """
     in_imu = se3.transform(se3.inverse(world_T_imu), points_world)
     in_camera = se3.transform(rig.cam_T_imu, in_imu)
     depth = in_camera[:, 2]
     held = np.column_stack([in_camera[:, :2], np.maximum(depth, NEAREST)])
     by_imu = rig.projection_jacobian(held) @ rig.cam_T_imu[:3, :3]
-    return Sightings(
+    return Observations(
         depth=depth,
         z=rig.project(held),
         by_pose=np.concatenate([by_imu @ so3.hat(in_imu), -by_imu], axis=2),

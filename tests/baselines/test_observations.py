@@ -6,7 +6,7 @@ import pytest
 from vislam.comparison.open import Dataset
 from vislam.geometry import se3
 from vislam.models import StereoRig
-from vislam_baselines.sightings import look, pixel_variances
+from vislam_baselines.observations import look, pixel_variances
 
 RIG = StereoRig(500.0, 480.0, 320.0, 200.0, 0.5, se3.exp(np.array([0.1, -0.2, 0.3, 0.4, 0.5, 0.6])))
 
