@@ -14,7 +14,7 @@ _SUFFIXES = (".bag", ".db3", ".mcap")
 _METADATA = "metadata.yaml"
 _LITTLE_ENDIAN = 1
 _NANO = 1_000_000_000
-_REMEDY = "recover it (rosbag reindex, ros2 bag reindex, mcap recover) or export it anew"
+_REMEDY = "recover it (rosbag reindex, ros2 bag reindex, mcap recover) or export it again"
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class CameraFiles:
     """Of the stamps."""
 
     def __post_init__(self) -> None:
-        """Refuse what says two things, or nothing, of the stamps."""
+        """Reject what says two things, or nothing, of the stamps."""
         given = (self.stamps is not None) + (self.rate_hz is not None)
         if self.images.endswith(_LISTS) and given:
             raise ValueError("a list of images has its stamps: leave out stamps and rate_hz")

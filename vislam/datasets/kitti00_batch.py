@@ -37,7 +37,7 @@ def batch_poses(sequence: Sequence, world_T_imu: Array) -> Array:
     poses = [gtsam.symbol("x", k) for k in range(len(sequence))]
     for key, pose in zip(poses, world_T_imu, strict=True):
         values.insert(key, gtsam.Pose3(pose))
-    for track, point in _first_sightings(sequence, world_T_imu):
+    for track, point in _first_observations(sequence, world_T_imu):
         values.insert(gtsam.symbol("l", track), point)
     graph.push_back(gtsam.NonlinearEqualityPose3(poses[0], values.atPose3(poses[0])))
     for frame, track, z in zip(sequence.frame_of, sequence.track, sequence.z, strict=True):
@@ -52,7 +52,7 @@ def batch_poses(sequence: Sequence, world_T_imu: Array) -> Array:
     return np.array([solved.atPose3(key).matrix() for key in poses])
 
 
-def _first_sightings(sequence: Sequence, world_T_imu: Array) -> list[tuple[int, Array]]:
+def _first_observations(sequence: Sequence, world_T_imu: Array) -> list[tuple[int, Array]]:
     """Tracks, and the points ``(3,)`` [m] that their first observations put them at."""
     track, first = np.unique(sequence.track, return_index=True)
     points = sequence.rig.back_project(sequence.z[first])

@@ -60,7 +60,7 @@ class ClementMat:
     """First and last step that are read, counted from 1 as in the paper; null: all."""
 
     def __post_init__(self) -> None:
-        """Refuse a stretch of less than two steps."""
+        """Reject a stretch of less than two steps."""
         if self.steps is not None and self.steps[1] <= self.steps[0]:
             raise ValueError(f"steps must be first and last, the last one later, got {list(self.steps)}")
 
@@ -119,10 +119,10 @@ class ReferenceConfig:
     association: Literal["nearest", "interpolate"] = "nearest"
     """Whether a frame has the row of the nearest stamp, or what lies between the rows around it."""
     strict: bool = False
-    """Whether a file that is out of order, or has lost or double rows, is refused, not mended."""
+    """Whether a file that is out of order, or has lost or double rows, is rejected, not mended."""
 
     def __post_init__(self) -> None:
-        """Refuse a plane whose normal is not up."""
+        """Reject a plane whose normal is not up."""
         if self.format == "planar_xy" and self.up != "z":
             raise ValueError("a planar_xy reference lies in the plane across z: up must be z")
 
@@ -176,7 +176,7 @@ class TrajectoryConfig:
     sigma_deg: NonNegative = 0.0
     """Standard deviation of a reference's own attitudes [deg]."""
     strict: bool = False
-    """Whether a file that is out of order, or has lost or double rows, is refused, not mended."""
+    """Whether a file that is out of order, or has lost or double rows, is rejected, not mended."""
 
     @field_validator("name")
     @classmethod
@@ -186,7 +186,7 @@ class TrajectoryConfig:
         return name
 
     def __post_init__(self) -> None:
-        """Refuse what says two things."""
+        """Reject what says two things."""
         if self.times is not None and self.frames is not None:
             raise ValueError("one of times and frames, not both")
 
@@ -211,7 +211,7 @@ class MatchingConfig:
     """Time of the reference after which nothing is scored [s], from its first row on; null: its end."""
 
     def __post_init__(self) -> None:
-        """Refuse a span that is empty."""
+        """Reject a span that is empty."""
         if self.end is not None and self.end <= self.start:
             raise ValueError(f"end must be after start, got {self.end:g} and {self.start:g}")
 

@@ -39,7 +39,7 @@ _VERSION = 1
 _MOST_OBSERVATIONS = 1 << 24
 _FEWEST_IMU = 4
 _LARGEST_ID = 10**6
-"""Ids beyond it are numbered anew: what counts tracks by their ids takes memory."""
+"""Ids beyond it are renumbered: what counts tracks by their ids takes memory."""
 
 
 def read(source: TracksNpz, opening: Opening) -> Recording:

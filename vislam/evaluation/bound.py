@@ -5,15 +5,15 @@ covariance ``R_i``, is ``sum_i J_i^T R_i^-1 J_i``, and no unbiased estimate has 
 its inverse: Tichavsky, Muravchik and Nehorai, *Posterior Cramer-Rao bounds for discrete-time nonlinear
 filtering*, IEEE Trans. Signal Processing 46 (1998) 1386-1396. The factors are
 
-* ``z - h(T_k, p_j)``, stereo sightings of landmarks of which nothing is known beforehand;
+* ``z - h(T_k, p_j)``, stereo observations of landmarks of which nothing is known beforehand;
 * ``u_k - (log(T_{k-1}^-1 T_k) / dt + b_{k-1})``, the recorded twist of a step;
 * ``b_k - b_{k-1}`` and ``b_0 - mean``, the walk of its bias and the prior.
 
 The first pose is known: the bound is of the motion since then, which the errors of a run are of, too.
 
 The elimination of the graph in the order of time is an information filter, whose marginals at each frame are
-the bound of filtering, and the way back over what was eliminated, as in a junction tree, has the bound of
-smoothing. Truth and noise being known, the same passes tell by what the linear estimator that attains the
+the bound of filtering, and the backward pass over what was eliminated, as in a junction tree, has the bound
+of smoothing. Truth and noise being known, the same passes tell by what the linear estimator that attains the
 bound errs on this very noise, so that an excess over the bound can be told from luck.
 
 Nothing here is shared with an estimator: no state, no Jacobian of theirs, no step of their algebra.
@@ -263,7 +263,7 @@ def _widened(belief: _Belief, size: int) -> _Belief:
 def _see(
     belief: _Belief, drive: TrueDrive, rows: IntArray, *, held: IntArray, track: IntArray, k: int
 ) -> None:
-    """Add the sightings of a frame, all at once."""
+    """Add the observations of a frame, all at once."""
     if not len(rows):
         return
     rig, pose, tracks = drive.rig, drive.world_T_imu[k], drive.tracks

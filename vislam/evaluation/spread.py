@@ -35,7 +35,7 @@ class _Saved:
     errors: tuple[_Errors, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what no comparison writes."""
+        """Reject what no comparison writes."""
         if self.key not in METRICS:
             raise ValueError(f"key: expected that of a metric, got {self.key}")
         if any(len(one.values) != len(self.points) for one in self.errors):

@@ -261,7 +261,7 @@ def _clearly_better(one: Array, other: Array) -> bool:
 
 
 class _Sample:
-    """Pairs of sightings that all candidates are tried on, and what does not depend on the mounting."""
+    """Pairs of observations that all candidates are tried on, and what does not depend on the mounting."""
 
     def __init__(self, sequence: Sequence) -> None:
         pairs = continuations(sequence)

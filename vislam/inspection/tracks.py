@@ -58,7 +58,7 @@ def check_duplicated(sequence: Sequence, repair: RepairConfig) -> tuple[Finding,
 
 
 def check_stamps(recorded: Sequence, *, in_seconds: Sequence) -> Finding:
-    """Steps of the camera and inertial stamps; the reader has refused what does not increase.
+    """Steps of the camera and inertial stamps; the reader has rejected what does not increase.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def check_stamps(recorded: Sequence, *, in_seconds: Sequence) -> Finding:
     wrong = [item for item in implausible(recorded) if item.stamp_scale != 1.0]
     if not wrong:
         return finding
-    unknown = {"data.file": f"compare refuses this recording until its stamps are mended: {wrong[0]}"}
+    unknown = {"data.file": f"compare rejects this recording until its stamps are mended: {wrong[0]}"}
     return replace(finding, verdict="fault", text=f"{wrong[0]}; in seconds: {finding.text}", unknown=unknown)
 
 

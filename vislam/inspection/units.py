@@ -65,13 +65,13 @@ def check_units(recorded: Sequence, believed: Sequence) -> Finding:
     text = "; ".join(str(item) for item in found)
     baselines = [item.baseline for item in found if item.baseline is not None]
     proposal = {"data.repair.baseline": {"metres": baselines[0]}} if baselines else {}
-    # No step of the config mends the rest: the file is to be written anew.
+    # No step of the config mends the rest: the file is to be written again.
     unknown = {} if len(baselines) == len(found) else {"data.file": _refused(text)}
     return Finding("units", "fault", text, proposal=proposal, unknown=unknown)
 
 
 def _refused(text: str) -> str:
-    return f"compare refuses this recording until its units are mended: {text}"
+    return f"compare rejects this recording until its units are mended: {text}"
 
 
 def _against_camera(ratios: Ratios) -> Finding:

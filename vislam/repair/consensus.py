@@ -2,8 +2,8 @@
 
 They are consistent with themselves, so a gate on single innovations lets them through, and they bend the
 estimate. Between two frames the tracks vote on the camera's motion, and a step many deviations off it starts
-a new track. A track that never agrees falls to single sightings, which say nothing. Where fewer tracks go on
-than can decide among themselves, the inertial step votes with them (:mod:`vislam.core.inertial_vote`).
+a new track. A track that never agrees falls to single observations, which say nothing. Where fewer tracks go
+on than can decide among themselves, the inertial step votes with them (:mod:`vislam.core.inertial_vote`).
 """
 
 import numpy as np

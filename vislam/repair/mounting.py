@@ -45,7 +45,7 @@ class Axes:
     forward-left-up where the extrinsic is forward-right-down."""
 
     def __post_init__(self) -> None:
-        """Refuse axes that form no proper turn."""
+        """Reject axes that form no proper turn."""
         axes_rotation(self.body)
 
     def apply(self, sequence: Sequence) -> Sequence:

@@ -88,8 +88,8 @@ class SingleObservations:
 def _remembered(sequence: Sequence, back: BoolArray, kept: int) -> BoolArray:
     """Mask ``(n,)`` of the observations ``back`` whose track is one of the ``kept`` out of view seen last.
 
-    A track that was forgotten once starts anew, and may be remembered from then on. Of equally late ones, the
-    lower ids are kept.
+    A track that was forgotten once is initialised again, and may be remembered from then on. Of equally late
+    ones, the lower ids are kept.
     """
     out = np.zeros(len(back), bool)
     last = np.full(int(sequence.track.max(initial=-1)) + 1, -1)

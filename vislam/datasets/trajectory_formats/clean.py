@@ -85,7 +85,7 @@ def without_lost(rows: Rows) -> Rows:
 
 
 def in_order(rows: Rows, *, strict: bool) -> Rows:
-    """Rows by time or frame, each once; where ``strict``, whatever was or would be mended is refused.
+    """Rows by time or frame, each once; where ``strict``, whatever was or would be mended is rejected.
 
     Raises
     ------

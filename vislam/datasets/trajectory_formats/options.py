@@ -20,7 +20,7 @@ class ReadOptions:
     topic : str or None
         Of a bag.
     strict : bool
-        Whether whatever would be mended (order, duplicates, lost rows, norms) is refused instead.
+        Whether whatever would be mended (order, duplicates, lost rows, norms) is rejected instead.
     """
 
     unit: Unit = "auto"

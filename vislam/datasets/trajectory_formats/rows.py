@@ -40,7 +40,7 @@ class Rows:
     counts : dict
         What was mended or left out, and how often.
     first : dict
-        Line of the first of each kind in ``counts``, and what it is, for who refuses it.
+        Line of the first of each kind in ``counts``, and what it is, for who rejects it.
     """
 
     path: Path

@@ -51,7 +51,7 @@ class TextTable:
     counts : dict
         What was left out.
     first : dict
-        What is wrong with the first of each kind in ``counts``, for who refuses it.
+        What is wrong with the first of each kind in ``counts``, for who rejects it.
     """
 
     path: Path
