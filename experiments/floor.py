@@ -110,7 +110,7 @@ class Replay:
         return time.thread_time() - started
 
     def backward(self, sizes: FrameSizes) -> float:
-        """Time of the way back over a frame."""
+        """Time of the backward pass over a frame."""
         after = NAV + LANDMARK * (sizes.known + sizes.new)
         d, gone = NAV + LANDMARK * sizes.known, 3 * (sizes.held - sizes.known)
         before = NAV + LANDMARK * sizes.held

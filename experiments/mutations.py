@@ -93,7 +93,7 @@ MUTATIONS = (
         EKF,
     ),
     Mutation(
-        "match error left out of a new landmark",
+        "stereo-matching bias left out of a new landmark",
         FILTER,
         "variance = np.column_stack([self._variance(frame, rows), match**2])",
         "variance = np.column_stack([self._variance(frame, rows), 1e-6 * match**2])",

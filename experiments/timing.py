@@ -162,7 +162,7 @@ class Timed:
 
 
 def timed(drive: Drive, options: EkfOptions) -> Timed:
-    """Run a filter over a drive, there and back, by the clock of the one thread that works."""
+    """Run a filter over a drive, forward-backward, by the clock of the one thread that works."""
     solver = EkfEstimator(drive.problem, options)
     times: list[float] = []
     sizes: list[FrameSizes] = []

@@ -354,7 +354,7 @@ def test_one_with_the_earlier_interface_is_told_the_new_one(short: Dataset):
     found = run(Earlier(), short)
     assert found.log.error == (
         "frame 0: process must take (frame), got (frame, refused): "
-        "what was refused is now ~frame.stereo.usable"
+        "what was rejected is now ~frame.stereo.usable"
     )
 
 

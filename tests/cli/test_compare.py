@@ -237,7 +237,7 @@ BAD_FILES = {
     "no intrinsic matrix": ({"K": np.eye(3)[::-1]}, "'K' must be an intrinsic matrix"),
     "no rigid extrinsic": ({"imu_T_cam": 2.0 * np.eye(4)}, "'imu_T_cam' must be a rigid transform"),
     "negative baseline": ({"b": np.array(-0.5)}, "'b' must be one baseline > 0"),
-    "pickled objects": ({"b": object_array()}, "pickled objects are refused"),
+    "pickled objects": ({"b": object_array()}, "pickled objects are rejected"),
     "text": ({"K": np.array([["a"] * 3] * 3)}, "'K' must be a plain array of real numbers"),
     "NaN features": ({"features": np.full((4, 8, 6), np.nan)}, "'features' must be free of NaN"),
     "nothing seen": ({"features": np.full((4, 8, 6), -1.0)}, "no stereo observation is left"),

@@ -234,7 +234,7 @@ def test_stamps_in_milliseconds_are_a_fault_with_a_guess(nowhere, capsys):
     said = capsys.readouterr().out
     assert "FAULT   stamps: a frame every 104.6 s" in said
     assert "look like milliseconds" in said
-    assert "# unknown: compare refuses this recording until its stamps are mended" in target.read_text()
+    assert "# unknown: compare rejects this recording until its stamps are mended" in target.read_text()
 
 
 def test_annotated_yaml_is_the_same_yaml():

@@ -1,4 +1,4 @@
-"""Inertial data drawn anew beside recorded tracks."""
+"""Inertial data re-sampled beside recorded tracks."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The way back: every landmark and every pose against the dense filter, which never lets one go."""
+"""The backward pass: every landmark and every pose against the dense filter, which never lets one go."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +28,7 @@ RELATIVE = 1e-8
 
 
 def both(dataset: Dataset, config: Config, **options) -> tuple[Smoothed, DenseFilter, EkfEstimator]:
-    """What the way back says, and the dense filter after the same frames."""
+    """What the backward pass says, and the dense filter after the same frames."""
     problem = make_problem(config, dataset)
     working = EkfEstimator(problem, EkfOptions(gate=False, smoothed=True, track_errors="states", **options))
     form = {key: value for key, value in options.items() if key in ("error", "landmarks")}

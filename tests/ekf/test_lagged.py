@@ -1,4 +1,5 @@
-"""Poses as known at a lag: carried forward with the filter, they are those of the way back from there."""
+"""Poses as known at a lag: carried forward with the filter, they are those of the backward pass from
+there."""
 
 from dataclasses import replace
 

@@ -103,7 +103,7 @@ def test_jacobians_by_navigation_state_and_landmark(scene, rng):
 
 @both
 def test_initialisation_jacobians(scene):
-    """With the anchor held: what a first sighting means in its coordinates."""
+    """With the anchor held: what a first observation means in its coordinates."""
 
     def coordinates(pose, z, nav=scene.nav):
         anchors, landmarks, _, _ = scene.camera.initialise(pose, nav, z)

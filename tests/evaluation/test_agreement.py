@@ -196,7 +196,7 @@ def test_frames_without_both_covariances_are_left_out(rng):
 
 
 def test_runs_that_are_worlds_apart_are_compared_where_numbers_last(rng):
-    """A filter that has gone astray by 200 km; nothing is left of the other's covariance over there."""
+    """A filter that is degenerate by 200 km; nothing is left of the other's covariance over there."""
     sound, other = pair(rng)
     astray = other.final.world_T_imu.copy()
     astray[FRAMES // 2 :, 0, 3] += 2e5

@@ -226,7 +226,7 @@ def without_tracks(*, sigma):
 
 
 def test_cholesky_is_not_refused_where_the_place_is_far_less_known_than_the_step(monkeypatch):
-    """Known to 100 m, with steps of 5 mm; without the anchor it is refused."""
+    """Known to 100 m, with steps of 5 mm; without the anchor it is rejected."""
     config, dataset = without_tracks(sigma=100.0)
     nothing = np.empty((0, 3))
     result = member("isam2", config, dataset, sigma=nothing)

@@ -106,7 +106,7 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
         held = estimator._solver.engine.factors()
         stereo = [held.at(slot) for slot in range(held.size()) if held.exists(slot)]
         stereo = [factor for factor in stereo if isinstance(factor, gtsam.GenericStereoFactor3D)]
-        # The factors of what has just gone astray are taken out with the next frame.
+        # The factors of what has just degenerate are taken out with the next frame.
         assert len(stereo) == result.used.sum() + len(estimator._solver._remove)
 
 

@@ -57,7 +57,7 @@ def worker(file, *options, env=None):
 
 
 def credentials(folder):
-    """Files of a certificate and its key, made anew: the options of the study, and those of Dask."""
+    """Files of a certificate and its key, rebuilt: the options of the study, and those of Dask."""
     made = Security.temporary()
     folder.mkdir()
     for name, text in (("cert.pem", made.tls_client_cert), ("key.pem", made.tls_client_key)):

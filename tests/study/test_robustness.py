@@ -1,4 +1,4 @@
-"""How sure a ranking is: what is tried, what is kept of it, and what is refused."""
+"""How sure a ranking is: what is tried, what is kept of it, and what is rejected."""
 
 import json
 from pathlib import Path

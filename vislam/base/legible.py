@@ -30,7 +30,7 @@ def visible_lines(text: str) -> str:
 
 def one_line(text: str, *, limit: int = LONGEST_LINE) -> str:
     """Text as one line of bounded length, with its beginning and its end."""
-    # Cut first: what is refused for its size is not to be worked through.
+    # Cut first: what is rejected for its size is not to be worked through.
     joined = visible(_BREAK.sub(" ", _cut(text, 10 * limit).strip("\t\n\v\f\r")))
     return _cut(joined, limit)
 

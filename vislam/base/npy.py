@@ -91,7 +91,7 @@ def _opened(
 ) -> PackedArray:
     descr, fortran, shape = _read_header(stream)
     if not stored.fullmatch(descr):
-        raise ArrayError(f"a plain array of {what} (pickled objects are refused)", repr(descr[:40]))
+        raise ArrayError(f"a plain array of {what} (pickled objects are rejected)", repr(descr[:40]))
     array = PackedArray(stream, shape, fortran, np.dtype(descr))
     expected, got = array.size * array.dtype.itemsize, information.file_size - stream.tell()
     if expected != got:

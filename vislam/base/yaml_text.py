@@ -101,7 +101,7 @@ class _Bounded(yaml.SafeLoader):
         return node
 
     def _refuse_large(self, event: yaml.Event) -> None:
-        """Refuse a tree that has grown beyond what a config can be."""
+        """Reject a tree that has grown beyond what a config can be."""
         if len(self._heights) - 1 + self._heights[-1] > DEEPEST:
             _refuse(f"expected at most {DEEPEST} levels, got more", event)
         if sum(self._sizes) > MOST_NODES:

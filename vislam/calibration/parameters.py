@@ -160,4 +160,4 @@ def _height_walk() -> Parameter:
 
 _HEIGHT_WALK = _height_walk()
 MATCH = _pixel("matching_bias_px", lowest=0.02)
-"""The error of the stereo match, not searched but read off the filter (``vislam.calibration.match``)."""
+"""The stereo-matching bias, not searched but read off the filter (``vislam.calibration.match``)."""

@@ -84,7 +84,7 @@ class Saved:
             raise DataError(
                 f"{path}: schema_version must be {schema_version}, "
                 f"got {brief(repr(tree.get('schema_version')))}; "
-                "write it anew with this version"
+                "write it again with this version"
             )
         try:
             found = settings.parse(_Document, tree)
@@ -92,7 +92,7 @@ class Saved:
             raise DataError(f"{path}: {brief(str(error))}") from None
         values = {(metric.estimator, metric.key, metric.estimate): metric.value for metric in found.metrics}
         if len(values) < len(found.metrics):
-            raise DataError(f"{path}: must hold each metric of a run once; write it anew with this version")
+            raise DataError(f"{path}: must hold each metric of a run once; write it again with this version")
         return cls(
             path=path,
             data=found.dataset.name,

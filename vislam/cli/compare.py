@@ -123,7 +123,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _robust(outcome: Any, options: argparse.Namespace) -> Any:
-    """The outcome with what the settings do to its errors, written anew."""
+    """The outcome with what the settings do to its errors, written again."""
     from vislam.checks.judge import read_checklist  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.results import SCHEMA_VERSION, headline_of, publish  # noqa: PLC0415

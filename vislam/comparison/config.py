@@ -76,7 +76,7 @@ Six = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, Non
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class RedrawConfig:
-    """Inertial data drawn anew from the reference's motion. Six numbers are (omega, v)."""
+    """Inertial data re-sampled from the reference's motion. Six numbers are (omega, v)."""
 
     twist_density: Six
     """White noise [rad/sqrt(s), m/sqrt(s)]; the last is that of the vertical velocity, where that is used."""
@@ -177,7 +177,7 @@ class DataConfig:
     """Reference trajectory of the recording; null: what comes with the source."""
 
     def __post_init__(self) -> None:
-        """Refuse a section without any data, and keys that would go unheard."""
+        """Reject a section without any data, and keys that would go unheard."""
         given = [name for name in ("source", "file", "packaged") if getattr(self, name) is not None]
         beside = (
             self.source,
@@ -322,7 +322,7 @@ class NoiseConfig:
     """Raw inertia, where it is the model of motion; the defaults are EuRoC's data sheet."""
 
     def __post_init__(self) -> None:
-        """Refuse a walk of what is taken for known."""
+        """Reject a walk of what is taken for known."""
         for name in self.shared_walk.densities():
             prior = shared_errors.prior_name(name)
             if getattr(self, prior) == 0.0:
@@ -454,7 +454,7 @@ class Config:
     """Seed of whatever is simulated."""
 
     def __post_init__(self) -> None:
-        """Refuse lags that are out of order."""
+        """Reject lags that are out of order."""
         if list(self.lags) != sorted(set(self.lags)):
             raise ValueError(f"lags: expected increasing numbers of frames, got {list(self.lags)}")
 

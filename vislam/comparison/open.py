@@ -175,7 +175,7 @@ def _read(config: DataConfig, opening: Opening) -> tuple[Recording, list[Path]]:
 
 
 def _redrawn(dataset: Dataset, config: DataConfig, seed: int) -> Dataset:
-    """The same with inertial data drawn anew, if the config says so."""
+    """The same with inertial data re-sampled, if the config says so."""
     if config.redraw_inertial is None:
         return dataset
     if dataset.reference is None:

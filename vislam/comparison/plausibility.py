@@ -27,7 +27,7 @@ _LONGER_STAMPS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-
 _SHORTER_STAMPS = {"minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
 _RATIO = 30.0
-"""The inertial data are refused when off by this factor; degrees for radians are off by 57."""
+"""The inertial data are rejected when off by this factor; degrees for radians are off by 57."""
 _LEAST_RATIO = 8.0
 """The same of a lower bound, which adds five standard deviations to what the camera sees."""
 _ALONE = 3.0

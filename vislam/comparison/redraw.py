@@ -1,4 +1,4 @@
-"""Inertial data drawn anew beside recorded tracks: the reference's motion with a bias and white noise."""
+"""Inertial data re-sampled beside recorded tracks: the reference's motion with a bias and white noise."""
 
 import hashlib
 from dataclasses import replace

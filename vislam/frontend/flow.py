@@ -24,7 +24,7 @@ def follow(
 ) -> tuple[Array, Array, BoolArray]:
     """Follow patches to another image and back.
 
-    The way back begins as far off as the way there did, so that it is a test and not a repetition.
+    The backward flow begins as far off as the forward flow did, so that it is a test and not a repetition.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def follow(
     levels : int
         Levels of the pyramid: few for a good guess, as a coarse patch holds more than the surface it is on.
     farthest : float
-        Distance there and back up to which a patch is found [px].
+        Largest forward-backward error at which a patch is found [px].
     config : FrontEndConfig
 
     Returns
@@ -44,14 +44,14 @@ def follow(
     end : (n, 2)
         Where they are in the second [px].
     distance : (n,)
-        How far from where it began each came to lie on its way back [px].
+        Forward-backward error of each [px].
     found : (n,)
         Which of them were found both ways, near enough, and inside the second image.
     """
     if not len(start):
         return start, np.empty(0), np.zeros(0, bool)
     end, there = _one_way(first, second, start, guess=guess, levels=levels, config=config)
-    # The guess was off by end - guess; the way back is given one that is off by as much.
+    # The guess was off by end - guess; the backward flow is given one that is off by as much.
     back, again = _one_way(second, first, end, guess=start - guess + end, levels=levels, config=config)
     distance = np.linalg.norm(back - start, axis=1)
     inside = within(end, second, margin=config.window_px // 2)

@@ -43,7 +43,7 @@ class FrontEndConfig(ReadingConfig):
     predicted_levels: Annotated[int, Field(ge=0, le=8)] = 2
     """The same where both are predicted: a coarse patch holds more than the surface that the corner is on."""
     forward_backward_px: Positive = 1.5
-    """Farthest that a patch that is followed there and back may come to lie from where it began [px], both
+    """Largest forward-backward error of a patch [px], both
     from frame to frame and from the left image to the right one."""
     first_forward_backward_px: Positive = 0.3
     """The same of the first stereo match of a track, which nothing else vouches for."""

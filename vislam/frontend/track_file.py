@@ -34,10 +34,10 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
     """Write the tracks, and what belongs to them in files beside.
 
     The tracks are in the open track format (``docs/reference/track_format.md``), with the reference poses
-    that were made of it; these go into ``*_reference.tum``, too. ``*_quality.npz`` has
-    ``forward_backward_px (n, 2)``, in the order of the observations: the distance there and back of each from
-    the frame before (0 for the first of a track) and to the right image; and ``life (n,)``, the observations
-    of its track. ``*_front_end.json`` has the settings, counts and figures.
+    that were made of it; these go into ``*_reference.tum``, too. ``*_quality.npz`` has ``forward_backward_px
+    (n, 2)``, in the order of the observations: the forward-backward error of each from the frame before (0
+    for the first of a track) and to the right image; and ``life (n,)``, the observations of its track.
+    ``*_front_end.json`` has the settings, counts and figures.
     """
     sequence, reference = tracked.sequence, None
     if isinstance(recording.reference, StampedPoses):

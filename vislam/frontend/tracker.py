@@ -42,7 +42,7 @@ class Tracker:
     turns : Turns or None
         Turns of the camera by a gyro; without them its motion is taken to go on as it was.
     counts : Counter
-        Why tracks ended, and how many new ones were refused.
+        Why tracks ended, and how many new ones were rejected.
     """
 
     pair: StereoPair

@@ -210,7 +210,7 @@ class SimulationConfig:
     """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
 
     def __post_init__(self) -> None:
-        """Refuse swapped depths, axes that are none, and a recorded path without poses or the reverse."""
+        """Reject swapped depths, axes that are none, and a recorded path without poses or the reverse."""
         if self.depth_min > self.depth_max:
             raise ValueError(
                 f"depth_min must not be above depth_max, got {self.depth_min:g} and {self.depth_max:g}"

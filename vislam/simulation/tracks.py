@@ -216,7 +216,7 @@ def _observe(
 
 
 def _triples(pixels: Array, match: Array) -> Array:
-    """Measurements without the error of the match; a disparity below half a pixel counts as that."""
+    """Measurements without the stereo-matching bias; a disparity below half a pixel counts as that."""
     left = pixels[:, 0]
     disparity = np.maximum((left - pixels[:, 2]) / (1.0 + match), 0.5)
     return np.column_stack([left, left - disparity, 0.5 * (pixels[:, 1] + pixels[:, 3])])

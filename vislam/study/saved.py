@@ -65,7 +65,7 @@ class _Document:
     inputs: StrictStr
 
     def __post_init__(self) -> None:
-        """Refuse numbers of runs that did not finish, and those that are there twice."""
+        """Reject numbers of runs that did not finish, and those that are there twice."""
         scored = {name for name, run in self.runs.items() if run.complete}
         names = {found.estimator for found in self.metrics} | {found.estimator for found in self.statistics}
         if not all(scored.issuperset(name.split("|")) for name in names):

@@ -30,7 +30,7 @@ class LatinHypercube:
     """Seed of the points."""
 
     def __post_init__(self) -> None:
-        """Refuse a range without a length."""
+        """Reject a range without a length."""
         for path, (low, high) in self.ranges.items():
             if not low < high:
                 raise ValueError(f"ranges.{path}: expected the lower value first, got {low:g} and {high:g}")
@@ -56,7 +56,7 @@ class StudyConfig:
     """Trials of a point: with the config's seed and those that follow it."""
     grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Values by dotted path in the config; each is combined with each. Two points that are the same, as of 1
-    and 1.0, are refused, here and of an ablation."""
+    and 1.0, are rejected, here and of an ablation."""
     around: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Values in place of a grid that are tried one at a time, all else as the config has it; it is a point,
     too."""
@@ -73,6 +73,6 @@ class StudyConfig:
     order by errors; null: none is."""
 
     def __post_init__(self) -> None:
-        """Refuse two sets of points."""
+        """Reject two sets of points."""
         if sum(map(bool, (self.grid, self.around, self.latin_hypercube, self.defects))) > 1:
             raise ValueError("one of grid, around, latin_hypercube and defects can be given")
