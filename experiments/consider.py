@@ -98,7 +98,7 @@ def _run(name: str, out: Path, processes: int) -> Path:
         out=out,
         data_dir=None,
         config_dir=path.parent,
-        allow_stand_in=False,
+        allow_substitute=False,
         progress=Terminal(),
         report=False,
         processes=processes,
