@@ -96,4 +96,4 @@ def test_what_needs_a_variable_that_is_not_there_is_refused_with_one_line(simula
 def test_it_is_found_by_its_module(simulated):
     build = find("vislam.estimators.smoother.family:build_between")
     estimator = build(make_problem(*simulated), {"relinearize_every": 3})
-    assert estimator.information["twist bias"] == "taken for known"
+    assert estimator.information["twist bias"] == "assumed known"

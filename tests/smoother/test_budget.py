@@ -67,7 +67,7 @@ def test_no_problem_takes_more_than_its_iterations_and_the_best_is_kept(start, i
     assert found.rounds <= rounds
     assert found.cost <= graph.error(values)
     assert found.cost == pytest.approx(graph.error(found.values))
-    assert not (found.at_rest and found.stopped)
+    assert not (found.converged and found.stopped)
     if found.stopped:
         assert found.stopped == "max_iterations"
         assert budget.done == iterations

@@ -1,4 +1,4 @@
-"""Steps that cannot be solved: what is set aside, what is told, and when the run ends."""
+"""Steps that cannot be solved: what is rejected, what is told, and when the run ends."""
 
 from dataclasses import replace
 from functools import cache
@@ -63,7 +63,7 @@ def go(name, simulated, **options):
 
 
 def check_set_aside_is_not_used(result, estimator, sequence):
-    """What is set aside has no observation in ``used``, and no factor that could be taken out."""
+    """What is rejected has no observation in ``used``, and no factor that could be taken out."""
     fused = np.unique(sequence.track[result.used])
     assert np.array_equal(fused, np.unique(result.landmarks.track))
     held = estimator._solver.engine.factors()
@@ -99,8 +99,8 @@ def test_a_landmark_that_the_error_names_is_set_aside_alone(name, simulated, pla
     assert named != [None]
     assert result.complete
     assert result.log.counts["recoveries"] == 1
-    assert result.log.counts["landmarks_set_aside"] == without.log.counts["landmarks_set_aside"] + 1
-    assert f"frame {AT}: planted; 1 landmarks set aside, as track " in result.log.events[0]
+    assert result.log.counts["landmarks_rejected"] == without.log.counts["landmarks_rejected"] + 1
+    assert f"frame {AT}: planted; 1 landmarks rejected, as track " in result.log.events[0]
     gone = set(without.landmarks.track.tolist()) - set(result.landmarks.track.tolist())
     assert len(gone) == 1
     of_gone = np.isin(simulated[1].sequence.track, list(gone))
@@ -118,7 +118,7 @@ def test_landmarks_that_errors_name_one_after_the_other_are_all_set_aside(name, 
     assert len(set(named)) == 3
     assert result.complete
     assert result.log.counts["recoveries"] == 1
-    assert "3 landmarks set aside" in result.log.events[0]
+    assert "3 landmarks rejected" in result.log.events[0]
     check_set_aside_is_not_used(result, estimator, simulated[1].sequence)
     assert not {track.key for track in estimator._solver.tracks.landmarks} & set(named)
 
@@ -177,7 +177,7 @@ def test_a_step_that_cholesky_refuses_is_solved_with_qr_and_is_no_rescue(name, s
     monkeypatch.undo()
     assert result.complete
     assert result.log.counts["recoveries"] == 0
-    assert result.log.counts["cholesky_refusals"] == 1
+    assert result.log.counts["cholesky_failures"] == 1
     assert result.log.counts["steps_by_qr"] == 2
     assert result.log.events == (f"frame {AT}: planted to Cholesky; QR for 2 steps",)
     assert estimator._solver.factorization == "cholesky"
@@ -209,7 +209,7 @@ def test_what_cholesky_refuses_at_every_frame_is_built_anew_ever_more_seldom(
     assert result.complete
     assert built == ["cholesky", "qr", *["cholesky"] * 4]
     assert result.log.counts["recoveries"] == 0
-    assert result.log.counts["cholesky_refusals"] == 5
+    assert result.log.counts["cholesky_failures"] == 5
     assert result.log.counts["steps_by_qr"] == FRAMES - 5
     assert result.log.events == ("frame 5: planted to Cholesky; QR for 2 steps",)
     assert estimator._solver.factorization == "qr"
@@ -230,7 +230,7 @@ def test_cholesky_is_not_refused_where_the_place_is_far_less_known_than_the_step
     config, dataset = without_tracks(sigma=100.0)
     nothing = np.empty((0, 3))
     result = member("isam2", config, dataset, sigma=nothing)
-    assert result.log.counts["cholesky_refusals"] == 0
+    assert result.log.counts["cholesky_failures"] == 0
     check_equal(result, member("isam2", config, dataset, sigma=nothing, factorization="qr"))
     start = engine.WholeGraph.__init__
 
@@ -239,7 +239,7 @@ def test_cholesky_is_not_refused_where_the_place_is_far_less_known_than_the_step
         self._anchored = False
 
     monkeypatch.setattr(engine.WholeGraph, "__init__", without_anchor)
-    assert member("isam2", config, dataset, sigma=nothing).log.counts["cholesky_refusals"] > 1
+    assert member("isam2", config, dataset, sigma=nothing).log.counts["cholesky_failures"] > 1
 
 
 def test_there_is_one_anchor_and_nobody_is_told_of_it(simulated):
@@ -277,7 +277,7 @@ def test_more_rescues_than_allowed_end_the_run_and_the_frames_before_are_kept(na
     monkeypatch.setattr(KIND[name], "update", fails_once_a_frame)
     result, _ = go(name, simulated, factorization="qr", max_recoveries=2)
     assert not result.complete
-    assert result.log.error == f"frame {AT + 2}: DivergedError: planted; it would be rescue 3"
+    assert result.log.error == f"frame {AT + 2}: DivergedError: planted; it would be recovery 3"
     assert len(result.final.world_T_imu) == AT + 2
     assert np.isfinite(result.final.world_T_imu).all()
 
@@ -309,7 +309,7 @@ def test_whatever_gtsam_raises_in_the_lag_ends_the_run_with_the_frames_before_it
 
 
 def test_a_lag_goes_on_after_a_rescue_that_came_with_marginals(simulated, monkeypatch):
-    """Rescued at frames 30 and 33 of 80, with a lag of 10 frames: what was set aside leaves with it."""
+    """Rescued at frames 30 and 33 of 80, with a lag of 10 frames: what was rejected leaves with it."""
     config, dataset = drive(seed=8, frames=80, tracks_in_view=25)
     read, failures = engine.FixedLag.pose, []
 

@@ -135,7 +135,7 @@ Source = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class LandmarksConfig:
-    """What becomes of landmarks that are out of view."""
+    """Landmarks that are out of view."""
 
     kept: Annotated[str, Field(pattern=r"^(while_tracked|always|most [1-9][0-9]{0,5})$")] = "while_tracked"
     """``while_tracked``: a track that was interrupted is a new landmark. ``always``: a track id that comes
@@ -283,9 +283,9 @@ class NoiseConfig:
     pixel_sigma_px: Positive = 1.0
     """White noise of uL and uR [px]; that of the mean row is smaller by sqrt(2)."""
     drift_px: NonNegative = 0.0
-    """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
+    """Tracker drift: random walk of a track's column and row, a frame [px]."""
     matching_bias_px: NonNegative = 0.0
-    """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
+    """Stereo-matching bias: error of a track's first disparity that persists in proportion to it [px]."""
     twist_density: Six = (1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02)
     """White noise of the inertial twist [rad/sqrt(s), m/sqrt(s)]."""
     bias_sigma: Six = (0.02, 0.02, 0.02, 0.1, 0.05, 0.02)
@@ -322,7 +322,7 @@ class NoiseConfig:
     """Raw inertia, where it is the model of motion; the defaults are EuRoC's data sheet."""
 
     def __post_init__(self) -> None:
-        """Reject a walk of what is taken for known."""
+        """Reject a walk of what is assumed known."""
         for name in self.shared_walk.densities():
             prior = shared_errors.prior_name(name)
             if getattr(self, prior) == 0.0:

@@ -156,7 +156,7 @@ def shared_information(problem: Problem, *, estimated: Container[str]) -> dict[s
     found = {}
     for name, prior in problem.shared().items():
         model = "estimated" if prior.walk == 0.0 else "estimated, walking"
-        found[name.replace("_", " ")] = model if name in estimated else "taken for known"
+        found[name.replace("_", " ")] = model if name in estimated else "assumed known"
     return found
 
 

@@ -1,4 +1,4 @@
-"""What a reader is given, and what it gives back."""
+"""Arguments and result of a reader."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -108,7 +108,7 @@ def read_poses(path: Path, format: Literal["kitti", "tum"]) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Given:
-    """A trajectory from elsewhere, as its options say that it is to be understood.
+    """A trajectory of another program, interpreted by its options.
 
     Attributes
     ----------

@@ -135,7 +135,7 @@ class _Journal:
         self._final = Final()
 
     def feed(self, estimator: Estimator, sigma: Array, on_frame: Callable[[int], None]) -> None:
-        """Feed all frames and ask for the end."""
+        """Feed all frames and finalise."""
         sequence = self._sequence
         check_interface(estimator)
         for frame in sequence.frames(sigma, self._usable):
@@ -223,7 +223,7 @@ def _smoothed(trajectory: Poses | None, filtered: Poses) -> Poses | None:
 
 
 def _lagged(final: Final, frames: int) -> Lagged | None:
-    """Poses by their lag, behind them those that all data tell; None where none were asked for."""
+    """Poses by their lag, then the smoothed ones; None where none were requested."""
     poses = {lag: poses for lag, poses in final.lagged.items() if lag < frames}
     if poses and final.trajectory is not None:
         poses[frames - 1] = final.trajectory
@@ -231,7 +231,7 @@ def _lagged(final: Final, frames: int) -> Lagged | None:
 
 
 def _said(failure: BaseException) -> str:
-    """One line of what an exception says, and its type where it is not one of ours."""
+    """First line of an exception's message, with its type where it is not one of ours."""
     said = first_line(failure)
     if not isinstance(failure, ContractError | Interrupted) and said != type(failure).__name__:
         said = f"{type(failure).__name__}: {said}"

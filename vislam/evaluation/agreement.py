@@ -1,4 +1,4 @@
-"""How far two runs are apart in what they claim themselves, where nobody knows the truth.
+"""Agreement of two runs within their estimated covariances, without a reference.
 
 Let both be consistent, with errors ``e_a`` and ``e_b`` of covariances ``P_a`` and ``P_b``. Their difference
 has ``P_a + P_b - C - C^T``, where ``C`` is the unknown covariance between the errors. What holds of it:
@@ -29,7 +29,7 @@ _STAYS = 10
 
 @dataclass(frozen=True)
 class Certainty:
-    """Which of two runs claims to be more certain of its poses, in the median over frames.
+    """Ratio of the estimated variances of two runs' poses, in the median over frames.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Agreement:
         return float(np.mean(self.squared > chi2_quantile(probability, 6)))
 
     def divergence(self, alarm: float = 0.01) -> int | None:
-        """First frame at which the runs contradict each other and keep doing so; None if they never do.
+        """First frame from which the estimates diverge, for good; None if they never do.
 
         The squared distance exceeds the bound that consistent runs exceed at any frame at all with
         probability ``alarm`` at most, by Bonferroni's inequality. That it does so in most of the next few
@@ -103,7 +103,7 @@ class Agreement:
         return int(self.frame[np.argmax(stays)]) if stays.any() else None
 
     def certainty(self) -> Certainty:
-        """Say who claims more, in short."""
+        """Summarise the ratio of the estimated variances."""
         smallest, largest = np.median(self.ratios[:, [0, -1]], axis=0)
         overall = np.exp(np.median(np.mean(np.log(self.ratios), axis=1)))
         along = [COMPONENTS[np.bincount(self.along[:, k]).argmax()] for k in (0, -1)]

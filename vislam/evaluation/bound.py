@@ -1,4 +1,4 @@
-"""The posterior Cramer-Rao bound of a simulated drive: all that its data can tell of the poses.
+"""The posterior Cramer-Rao bound of the poses of a simulated sequence.
 
 The information of a graph whose factors are linearised at the truth, with residuals ``r_i = n_i - J_i e`` of
 covariance ``R_i``, is ``sum_i J_i^T R_i^-1 J_i``, and no unbiased estimate has a smaller covariance than
@@ -49,7 +49,7 @@ class BiasPrior:
 
 @dataclass(frozen=True)
 class TrueDrive:
-    """A simulated drive with its truth.
+    """A simulated sequence with its truth.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class TrueDrive:
 
 
 def bound(drive: TrueDrive, noise: MotionNoise, prior: BiasPrior) -> Bound:
-    """Compute the bound of a drive whose noise is as told."""
+    """Compute the bound of a sequence with noise of the stated levels."""
     ahead = list(_forward(drive, noise, prior))
     filtered, filtered_error = (np.array(part) for part in zip(*(one.told for one in ahead), strict=True))
     smoothed, smoothed_error = np.empty_like(filtered), np.empty_like(filtered_error)
@@ -168,7 +168,7 @@ class _Eliminated:
 
 @dataclass(frozen=True)
 class _Passed:
-    """A frame on the way forward.
+    """A frame of the forward pass.
 
     Attributes
     ----------
@@ -253,7 +253,7 @@ def _old_places(size: int) -> IntArray:
 
 
 def _widened(belief: _Belief, size: int) -> _Belief:
-    """Belief with room for landmarks of which nothing is known."""
+    """Belief augmented by landmarks without a prior."""
     old = len(belief.vector)
     matrix = np.zeros((size, size))
     matrix[:old, :old] = belief.matrix

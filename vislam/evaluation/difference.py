@@ -43,7 +43,7 @@ class ErrorDifference:
 
     @property
     def known(self) -> bool:
-        """Whether there are blocks enough to say more than the difference itself."""
+        """Whether there are blocks enough for an interval of the difference."""
         return self.blocks >= FEWEST_BLOCKS
 
     @property

@@ -1,4 +1,4 @@
-"""How near the errors of an estimate come to the bound (:mod:`vislam.evaluation.bound`).
+"""Efficiency of an estimate: its errors over the bound (:mod:`vislam.evaluation.bound`).
 
 The squared error of one drive is a matter of luck: of the drift of its heading there is one draw. What the
 linear estimator that attains the bound errs by on the same noise has the same luck, and its expected square
@@ -22,7 +22,7 @@ PARTS = {"rotation": slice(0, 3), "position": slice(3, 6)}
 
 @dataclass(frozen=True)
 class Efficiency:
-    """Errors of the poses relative to the first, beside the least there can be.
+    """Errors of the poses relative to the first, and their lower bound.
 
     Attributes
     ----------

@@ -162,7 +162,7 @@ def mean_step_ms(run: Run) -> float | None:
 
 
 def headline(reference: Reference) -> str:
-    """Key of the error that says how right a run is: the ATE, planar where the reference is [m]."""
+    """Key of the headline error: the ATE, planar where the reference is [m]."""
     return "ate_planar_rmse" if reference.planar else "ate_rmse"
 
 

@@ -1,4 +1,4 @@
-"""Whether runs had the same information: else what tells them apart is not inference alone."""
+"""Whether runs had the same information; else their difference is not that of inference alone."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass

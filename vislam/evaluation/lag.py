@@ -1,4 +1,4 @@
-"""Poses as known some frames later, scored lag by lag: what waiting buys, from the filter to the smoother.
+"""Fixed-lag smoothed poses, scored lag by lag, from the filter to the smoother.
 
 At lag 0 each pose is the filtered one; at the last lag it is what all data say. A frame that the drive ends
 before its lag counts with what is known at the end, so that every lag is of the same frames.
@@ -115,7 +115,7 @@ def _nees(run: Run, reference: Reference) -> Statistic | None:
 
 @dataclass(frozen=True)
 class Half:
-    """When half of what smoothing takes off an error has come.
+    """Lag at which half of the gain by smoothing is reached.
 
     Attributes
     ----------

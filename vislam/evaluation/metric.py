@@ -1,4 +1,4 @@
-"""The registry of metrics: how each is called, its unit, how finely it is shown, and which way is better.
+"""The registry of metrics: title, unit, digits and direction of each.
 
 Whoever shows or judges metrics takes them from here; :mod:`vislam.evaluation.metrics` computes them.
 """
@@ -15,7 +15,7 @@ Better = Literal["less", "one", ""]
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """What is known of a metric beside its value.
+    """Description of a metric.
 
     Attributes
     ----------

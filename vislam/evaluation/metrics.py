@@ -148,7 +148,7 @@ def _trajectory(scores: TrajectoryScores) -> Iterator[tuple[str, float, str, str
             yield f"kitti_t_rel_{length}m", drift.t_rel, "%", "KITTI odometry kit"
             yield f"kitti_r_rel_{length}m", drift.r_rel, "deg/100m", "KITTI odometry kit"
     if scores.final_drift is not None:
-        yield "drift_end", scores.final_drift, "%", "alignment first_pose, of the way driven"
+        yield "drift_end", scores.final_drift, "%", "alignment first_pose, of the distance travelled"
     yield "frames_without_reference", float(scores.matched.estimate_dropped), "1", ""
     yield "reference_without_frame", float(scores.matched.reference_dropped), "1", ""
 
@@ -367,7 +367,7 @@ def _maps_apart(
 
 
 def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
-    """How far apart in what they claim themselves, and which predicts the held-out tracks better."""
+    """Agreement within the estimated covariances, and which run predicts the held-out tracks better."""
     if scores.agreement is not None:
         found, by = scores.agreement, "worlds joined at the first pose, by the sum of the two covariances"
         yield "distance_per_freedom", found.per_freedom, by
@@ -376,7 +376,7 @@ def _agreement(scores: EstimatePair) -> Iterator[tuple[str, float, str]]:
         if frame is not None:
             yield "divergence_frame", float(frame), f"{by}; beyond the 99 % bound of all frames together"
         yield from _agreement_considered(scores)
-        told = "variance that the first claims over that of the second, median over the frames"
+        told = "estimated variance of the first over that of the second, median over the frames"
         yield "variance_ratio", certainty.overall, f"{told}; geometric mean of all directions"
         yield "variance_ratio_smallest", certainty.smallest, f"{told}; mostly in {certainty.smallest_along}"
         yield "variance_ratio_largest", certainty.largest, f"{told}; mostly in {certainty.largest_along}"

@@ -77,7 +77,7 @@ class Normalised:
         return statistics.of_errors(self.name, self.whitened, convention=self.convention, fitted=self.fitted)
 
     def scale_gap(self) -> float:
-        """How many times larger errors are than the sigmas say, an axis: root of median NEES over its own.
+        """Ratio of errors to estimated sigmas, an axis: root of the median NEES over its expected value.
 
         Medians, so that some bad frames do not count; 1 is expected.
         """

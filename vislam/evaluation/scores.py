@@ -1,4 +1,4 @@
-"""Everything that is known of a run, and of two: arrays, which metrics sum up and figures show."""
+"""Scores of a run, and of two: arrays, which metrics summarise and figures show."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ _FEWEST_COMMON = 3
 
 @dataclass(frozen=True)
 class EstimateScores:
-    """What is known of one estimate of a run's trajectory.
+    """Scores of one estimate of a run's trajectory.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class EstimateScores:
 
 @dataclass(frozen=True)
 class RunScores:
-    """What is known of one run.
+    """Scores of one run.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class RunScores:
 
 @dataclass(frozen=True)
 class EstimatePair:
-    """What is known of the same estimate of two runs together.
+    """Scores of the same estimate of two runs.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class EstimatePair:
 
 @dataclass(frozen=True)
 class PairScores:
-    """What is known of two runs together.
+    """Scores of two runs.
 
     Attributes
     ----------

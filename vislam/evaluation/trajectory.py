@@ -12,7 +12,7 @@ from vislam.geometry import so3
 
 @dataclass(frozen=True)
 class Statistics:
-    """What is told of many errors; their unit is its unit."""
+    """Summary of many errors, in their unit."""
 
     rmse: float
     mean: float
@@ -70,7 +70,7 @@ def ate(matched: Matched, alignment: Alignment) -> AbsoluteErrors:
 
 
 def path_length(world_T_imu: Array) -> float:
-    """Length of the way driven [m]."""
+    """Distance travelled [m]."""
     return float(np.linalg.norm(np.diff(world_T_imu[:, :3, 3], axis=0), axis=1).sum())
 
 
@@ -80,7 +80,7 @@ def distance_driven(world_T_imu: Array) -> Array:
 
 
 def final_drift(matched: Matched) -> float | None:
-    """Position error at the end, with the first pose on the reference's, over the length of the way [%].
+    """Position error at the end, with the first pose on the reference's, over the path length [%].
 
     None if the reference has no poses or does not move.
     """

@@ -80,7 +80,7 @@ def _judged(measured: tuple[Measured, ...], along: Array, *, mean: Array, sigma:
 def _prior(
     value: Array, error: Array, along: Array, *, mean: Array, sigma: Array, beyond: BoolArray
 ) -> tuple[Array, Array, list[str]]:
-    """Mean and standard deviation ``(6,)`` of a prior that the data support, and what they do not tell."""
+    """Mean and standard deviation ``(6,)`` of a prior that the data support, and what is not observable."""
     taken = beyond | (np.abs(value) > _SIGNIFICANT * error)
     known = _WIDER * error < sigma
     spread = np.hypot(np.hypot(np.where(taken, 0.0, value), _WIDER * error), along)

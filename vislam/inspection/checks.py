@@ -42,9 +42,9 @@ _NEEDS_MOTION = (
     "noise.bias_mean",
     "noise.bias_sigma",
 )
-"""What is told by the camera's own motion."""
+"""Settings that the camera's own motion determines."""
 _TOLD_TOGETHER = ("data.repair.consensus", "noise.bias_mean", "noise.bias_sigma")
-"""What of it the tracks of all steps together tell, too."""
+"""Those of them that the tracks of all steps together determine, too."""
 _DROPPING = ("disparity", "consensus", "duplicated_tracks")
 
 
@@ -238,7 +238,7 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
 
 
 def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> None:
-    """Say what was not looked at, as single steps show too little of it, and what all together tell."""
+    """Report what single steps do not constrain, and what all steps together determine."""
     repair, noise = config.data.repair, config.noise
     levelled = repair.navigation_frame_velocity is not None
     third = None if levelled else motion.third_component_unseen(cut)

@@ -1,4 +1,4 @@
-"""What an inspection says: one finding a check, with its figures and the config lines that answer it."""
+"""Findings of an inspection: one a check, with its figures and the config lines that correct it."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -99,7 +99,7 @@ class Inspection:
 
     @property
     def unknown(self) -> dict[str, str]:
-        """Reason by dotted path of what could not be told."""
+        """Reason by dotted path of what could not be determined."""
         return {path: reason for finding in self.findings for path, reason in finding.unknown.items()}
 
 

@@ -86,7 +86,7 @@ def check_clock(
     series = {"clock_lag": _LAGS_S, "clock_cost": cost[:, :, _BOTH].sum(axis=2).mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
     if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
-        text = f"the drive does not tell the clock: {measured}, configured is {now:g} s"
+        text = f"the sequence does not determine the clock offset: {measured}, configured is {now:g} s"
         return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
     turns, speed = _contradicting(cost)
     if speed is not None:
@@ -298,7 +298,9 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
     counts = {"height_m": float(climbed), "reliable_share": reliable}
     levelled = repair.navigation_frame_velocity is not None
     if reliable < _RELIABLE or slope.sigma > 0.2:
-        text = f"cannot tell body from levelled velocity: {100 * (1 - reliable):.0f} % of it is noise, {told}"
+        text = (
+            f"body or navigation-frame velocity is undecided: {100 * (1 - reliable):.0f} % is noise, {told}"
+        )
         return _third_unclear(sequence, text, (slope,), counts)
     if slope.value < 0.5:
         text = f"{told}: it is the vertical velocity, its integral gives {climbed:+.1f} m of height"

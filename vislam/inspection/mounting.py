@@ -138,7 +138,7 @@ def check_mounting(sequence: Sequence, repair: RepairConfig) -> tuple[Finding, C
     own = configured(repair)
     ranking = _rank(sequence)
     if ranking.errors.shape[1] < 2 * _BLOCK:
-        text = f"only {ranking.errors.shape[1]} frames have tracks enough to tell"
+        text = f"only {ranking.errors.shape[1]} frames have enough tracks"
         return Finding(_CHECK, "unclear", text, unknown=_unknown(text)), own, {}
     series = {"mounting_score": np.sort(ranking.score)}
     none = _nothing_fits(ranking)
@@ -176,7 +176,7 @@ def _nothing_fits(ranking: Ranking) -> Finding | None:
         unknown = _unknown("no reading predicts the tracks")
         return Finding(_CHECK, "fault", text, counts=counts, unknown=unknown)
     if flow < _SMALLEST_FLOW_PX:
-        text = f"the tracks move by {flow:.2f} px from frame to frame, too little to tell the mounting"
+        text = f"the tracks move by {flow:.2f} px from frame to frame, too little to determine the mounting"
         return Finding(_CHECK, "unclear", text, counts=counts, unknown=_unknown(text))
     return None
 
@@ -186,7 +186,7 @@ def _unknown(reason: str) -> dict[str, str]:
 
 
 def _rivals(ranking: Ranking, own: Candidate) -> list[Candidate]:
-    """Readings that are not told from the one with the least error.
+    """Readings that are not distinguishable from the one with the least error.
 
     A reading whose rotation is within a few degrees of that is among them, and so is the configured one.
     """

@@ -1,4 +1,4 @@
-"""What an inspection leaves behind: ``inspection.json``, its figures, and a self-contained page."""
+"""Output of an inspection: ``inspection.json``, its figures, and a self-contained page."""
 
 import json
 from collections.abc import Sequence

@@ -40,7 +40,7 @@ def check_pixel_noise(
     series = {"pixel_span": np.array(_SPANS, float), "pixel_sigma": np.array([item.value for item in spans])}
     steps = _steps_of_tracks(sequence, fits)
     if len(steps.residual) < _FEWEST or len(steps.apart[2]) < _FEWEST:
-        text = f"{len(steps.residual)} steps of tracks, too few to tell"
+        text = f"{len(steps.residual)} steps of tracks, too few"
         unknown = {f"noise.{name}": f"{text}; as configured" for name in ("pixel_sigma_px", "drift_px")}
         return Finding("pixel noise", "unclear", text, unknown=unknown), series
     edges = np.linspace(0, len(sequence), _BLOCKS + 1)
@@ -64,7 +64,7 @@ def check_pixel_noise(
 
 
 def _noise_settings(step_px: float, white: Measured) -> tuple[dict[str, float], dict[str, str]]:
-    """Noise levels for the config, and what of them could not be told.
+    """Noise levels for the config, and those that could not be determined.
 
     Their sum is the whole of what a step is off by, tails that a gate keeps included: an estimator that takes
     the noise for Gaussian needs that. Where the white noise does not show, half of the variance is taken for

@@ -45,7 +45,7 @@ _FLOOR = np.array([0.001, 0.03])
 
 @dataclass(frozen=True)
 class Ways:
-    """What each continuing track says of the way of its step.
+    """Path length of a step by each continuing track.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def check_stereo(sequence: Sequence, repair: RepairConfig) -> tuple[list[Finding
     """
     first = _told(sequence, 0.0)
     if first is None:
-        text = "too few tracks with flow and depth to tell scale and offset"
+        text = "too few tracks with flow and depth to determine scale and offset"
         checks = {"stereo scale": "baseline", "disparity offset": "disparity_offset"}
         return [
             Finding(check, "unclear", text, unknown={f"data.repair.{step}": text})
@@ -157,7 +157,7 @@ class _Told:
 
 
 def _told(sequence: Sequence, offset: float) -> _Told | None:
-    """What the tracks tell once an offset is taken out of the disparities; None if too few tell anything."""
+    """Scale and offset by the tracks, less an offset of the disparities; None if they are too few."""
     moved = DisparityOffset(pixels=offset).apply(sequence)
     moved = moved.select(moved.disparity > _SMALLEST_DISPARITY_PX)
     pairs = continuations(moved)
@@ -181,7 +181,7 @@ def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
     text = f"{scale} for near tracks; they would agree with {fitting}, the rig has {baseline:.5f} m"
     off = abs(scale.value - 1.0)
     if scale.sigma > _SCALE_UNCLEAR:
-        text = f"the sequence does not tell the scale: {text}"
+        text = f"the sequence does not determine the scale: {text}"
         return Finding(
             "stereo scale", "unclear", text, (scale, fitting), unknown={"data.repair.baseline": text}
         )
@@ -198,7 +198,7 @@ def _scale_finding(sequence: Sequence, scale: Measured) -> Finding:
 
 def _offset_finding(offset: Measured, repair: RepairConfig) -> Finding:
     if offset.sigma > _OFFSET_UNCLEAR_PX:
-        text = f"the sequence does not tell the offset: {offset}"
+        text = f"the sequence does not determine the offset: {offset}"
         unknown = {"data.repair.disparity_offset": text}
         return Finding("disparity offset", "unclear", text, (offset,), unknown=unknown)
     applied = 0.0 if repair.disparity_offset is None else repair.disparity_offset.pixels
@@ -250,7 +250,7 @@ def check_match(sequence: Sequence, fits: dict[int, RigidFit], *, matching_bias_
     error = (seen.ratio[near] - 1.0) * first[near]
     one, other = _lagged(track, frame, error, len(sequence))
     if len(one) < _MATCH_FEWEST:
-        text = f"{len(one)} pairs of steps of near tracks, too few to tell the stereo-matching bias"
+        text = f"{len(one)} pairs of steps of near tracks, too few to determine the stereo-matching bias"
         unknown = {"noise.matching_bias_px": f"{text}; {matching_bias_px:g} px as configured"}
         return Finding("stereo match", "unclear", text, unknown=unknown)
     parts = [part for part in np.array_split(np.arange(len(one)), _BLOCKS) if len(part)]

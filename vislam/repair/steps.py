@@ -45,27 +45,27 @@ class RepairConfig:
     extrinsic: Switched[Extrinsic] = None
     """Read the extrinsic the other way round, whole or in part."""
     axes: Switched[Axes] = None
-    """Turn the extrinsic into the body axes of the velocities."""
+    """Rotate the extrinsic into the body axes of the velocities."""
     baseline: Switched[Baseline] = None
     """Replace the stereo baseline."""
     clock: Switched[Clock] = None
     """Move the inertial stamps to the camera's clock."""
     navigation_frame_velocity: Switched[NavigationFrameVelocity] = None
-    """Take the third velocity component for the vertical velocity."""
+    """Interpret the third velocity component as the vertical velocity (navigation frame)."""
     disparity_offset: Switched[DisparityOffset] = None
-    """Take a constant error out of all disparities."""
+    """Correct a constant error of all disparities."""
     duplicated_tracks: Switched[DuplicatedTracks] = DuplicatedTracks()
-    """Start new landmarks in frames that repeat the pixels of the frame before."""
+    """Initialise new landmarks in frames that repeat the pixels of the frame before (re-detected tracks)."""
     disparity: Switched[Disparity] = Disparity()
     """Drop what cannot be a stereo observation, and tracks that start too far away."""
     interruptions: Switched[Interruptions] = Interruptions()
-    """Start a new landmark where a track was out of sight."""
+    """Initialise a new landmark where a track was interrupted."""
     consensus: Switched[Consensus] = Consensus()
-    """Start a new landmark where a track leaves the rigid motion of the rest."""
+    """Initialise a new landmark where a track departs from the rigid motion of the others."""
     thinning: Switched[Thinning] = None
     """Keep one track in so many; the steps before have seen them all."""
     single_observations: Switched[SingleObservations] = SingleObservations()
-    """Drop tracks seen once only."""
+    """Drop tracks observed once only."""
 
 
 def apply(sequence: Sequence, config: RepairConfig) -> Sequence:

@@ -1,4 +1,4 @@
-"""Repairs of tracks: a new landmark wherever a track goes over to another point, nothing thrown away."""
+"""Repairs of tracks: a new landmark wherever a track follows another point; no observation is dropped."""
 
 from dataclasses import replace
 from typing import Annotated
@@ -19,11 +19,11 @@ _GRID_PX, _ON_GRID = 0.25, 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DuplicatedTracks:
-    """Start a new landmark wherever a track was re-detected.
+    """Initialise a new landmark wherever a track was re-detected.
 
     In a duplicated frame the front end writes every surviving track with the pixels of the frame before
     and follows another physical point from there on. The duplicated observation becomes the first of a
-    new track; new ids count up from the start of the recording, in order of first sight.
+    new track; new ids count up from the start of the recording, in order of first observation.
     """
 
     def apply(self, sequence: Sequence) -> Sequence:
@@ -41,7 +41,7 @@ class DuplicatedTracks:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Interruptions:
-    """Start a new landmark where a track was out of sight, so that a lost id never comes back.
+    """Initialise a new landmark where a track was interrupted, so that a lost id is not re-used.
 
     It does come back where it is one of the landmarks out of view that are remembered, those seen last.
     """
@@ -77,7 +77,7 @@ class Thinning:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SingleObservations:
-    """Drop tracks seen once only: they tell nothing about motion."""
+    """Drop tracks observed once only, which carry no information about motion."""
 
     def apply(self, sequence: Sequence) -> Sequence:
         """Drop them."""
@@ -143,7 +143,7 @@ def start_new_tracks(sequence: Sequence, starts: BoolArray, **counts: int) -> Se
 
 
 def _renumber(sequence: Sequence, starts: BoolArray) -> IntArray:
-    """Track ids after each observation of the mask starts a new track, in order of first sight."""
+    """Track ids after each observation of the mask starts a new track, in order of first observation."""
     frame, track = sequence.frame_of, sequence.track
     order = np.lexsort((frame, track))
     new_track = starts[order] | np.diff(track[order], prepend=-1).astype(bool)

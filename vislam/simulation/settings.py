@@ -139,7 +139,7 @@ class SimulationConfig:
     pixel_sigma_px: NonNegative = 0.5
     """White noise of uL, vL, uR and vR [px]."""
     matching_bias_px: NonNegative = 0.0
-    """Error of a track's first disparity that stays with it, in proportion to the disparity [px]."""
+    """Stereo-matching bias: error of a track's first disparity that persists in proportion to it [px]."""
     matching_bias_share: NonNegative = 0.0
     """More of that error, as a share of the disparity; Student-distributed with two degrees of freedom."""
     outlier_probability: Probability = 0.0
@@ -203,7 +203,7 @@ class SimulationConfig:
     moving_share: Probability = 0.0
     """Share of the tracks that are born on vehicles driving along at another speed."""
     drift_px: NonNegative = 0.0
-    """Drift of a track: its column and its row walk randomly, by this much a frame [px]."""
+    """Tracker drift: random walk of a track's column and row, a frame [px]."""
     imu: ImuSimulation | None = None
     """Raw inertia beside the twist; null: there is none."""
     navigation_frame_velocity: bool = False

@@ -1,4 +1,4 @@
-"""The backward pass: what all data say about each landmark that has left the state, and about each pose.
+"""Backward pass: smoothed estimates of the marginalised landmarks and of the poses.
 
 The filter's steps are recorded as far as memory allows. Older stretches are dropped and only the state at
 their start is kept, from which they are computed once more when the backward pass comes to them; where even
@@ -49,7 +49,7 @@ class Landmarks:
 
     @classmethod
     def join(cls, parts: Sequence["Landmarks"]) -> "Landmarks":
-        """All landmarks, their ids ascending; of one that left, and came back as new, the first part's."""
+        """All landmarks, their ids ascending; of a re-initialised one, the first."""
         _, order = np.unique(np.concatenate([part.track for part in parts]), return_index=True)
         names = (item.name for item in fields(cls))
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
@@ -57,7 +57,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """What all data together say.
+    """Smoothed estimates, from all data.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Recorder:
         return record
 
     def backwards(self) -> Iterator[Step]:
-        """All steps, the last first; what has been given out is forgotten."""
+        """All steps, the last first; those that were returned are discarded."""
         while self._stretches:
             stretch = self._stretches.pop()
             if stretch.steps is None:
@@ -161,7 +161,7 @@ class Recorder:
 
 
 def smooth(state: JointState, recorder: Recorder) -> Smoothed:
-    """Go back over the recorded steps, to which ``state`` has come."""
+    """Smooth over the recorded steps, backwards from ``state``."""
     adjoint = Adjoint.of_the_last(len(state.cov))
     landmarks = [filtered_landmarks(state, np.arange(len(state.track)))]
     poses: list[Array] = []
@@ -183,12 +183,12 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
 
 
 def filtered_landmarks(state: JointState, slots: IntArray) -> Landmarks:
-    """Landmarks as known now."""
+    """Filtered estimates of landmarks."""
     return _told(state.marginalised(slots), Adjoint.of_the_last(len(state.cov)), state.parametrisation)
 
 
 def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation) -> Landmarks:
-    """Landmarks that have left, as all data together say."""
+    """Smoothed estimates of marginalised landmarks."""
     n, each = len(left.track), np.arange(len(left.track))
     error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
     q = left.q + error.reshape(n, 3)

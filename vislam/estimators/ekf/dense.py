@@ -22,7 +22,7 @@ from vislam.models.odometry import BIAS, NAV, POSE
 
 
 class DenseFilter:
-    """Joint EKF that keeps every landmark for ever, if asked every pose as well, and gates nothing.
+    """Joint EKF without marginalisation and without a gate; poses can be kept in the state as well.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class DenseFilter:
         self.place[key] = slice(size, size + len(grow))
 
     def _retract(self, error: Array) -> None:
-        """Correct the mean, and let the error have the coordinates that its form gives it there."""
+        """Correct the mean, and transform the covariance to the error form at the new estimate."""
         before = self.world_T_imu
         self.world_T_imu = se3.retract(before, error[POSE])
         self.bias = self.bias + error[BIAS]

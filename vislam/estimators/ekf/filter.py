@@ -1,4 +1,4 @@
-"""EKF SLAM, one frame at a time: retire, predict, gate, update, initialise."""
+"""EKF SLAM, one frame at a time: marginalise, predict, gate, update, initialise."""
 
 from dataclasses import dataclass, replace
 
@@ -26,16 +26,16 @@ from vislam.models import TrackNoise
 from vislam.models.kernel import kernel_name
 from vislam.models.odometry import POSE
 
-_AT_REST = 1e-3
+_CONVERGED = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
 
 
 class EkfEstimator:
-    """Joint EKF over navigation state and the landmarks in view (report, section III-D).
+    """Joint EKF over navigation state and the landmarks in view (Barfoot 2017, section 4.2.3).
 
-    A landmark leaves the state when its track ends. It would never be measured again, so the rest of the
-    state is as if it had stayed; what later data say about it, it is told by the backward pass in the end.
-    Where landmarks are seen again, those out of view that are remembered stay in the state.
+    A landmark is marginalised when its track ends. It is not observed again, so marginalising it does not
+    change the remaining state; its smoothed estimate is recovered by the backward pass. Where landmarks are
+    seen again, those out of view that are remembered stay in the state. Course report, section III-D.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class EkfEstimator:
         )
 
     def finalize(self) -> Final:
-        """Return the poses, causal or smoothed, and the landmarks, by default as all data tell them."""
+        """Return the poses, causal or smoothed, and the landmarks, by default smoothed."""
         self._record_marginalised(np.zeros(len(self.state.track), bool))
         poses, counts = None, {}
         if self._problem.kernel is not None:
@@ -123,7 +123,7 @@ class EkfEstimator:
         )
 
     def smooth(self) -> Smoothed:
-        """Go back over all steps, which are forgotten then; not with ``marginalised_landmarks: filtered``."""
+        """Backward pass over all steps; not with ``marginalised_landmarks: filtered``."""
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
@@ -176,7 +176,7 @@ class EkfEstimator:
         )
 
     def _staying(self, state: JointState, rows: IntArray) -> BoolArray:
-        """Landmarks that stay: those in view, whose ``rows`` are not -1, and those of the rest seen last."""
+        """Landmarks that are kept: those in view (``rows`` not -1), and the most recently observed others."""
         staying = rows >= 0
         if self._problem.kept and not staying.all():
             out = np.flatnonzero(~staying)
@@ -194,7 +194,7 @@ class EkfEstimator:
         allowed: BoolArray,
         slots: IntArray,
     ) -> tuple[BoolArray, BoolArray, Update | None]:
-        """Gate and fuse what is seen in ``rows`` of the frame of the landmarks in view, ``slots``.
+        """Gate and fuse the observations in ``rows`` of the frame, of the landmarks ``slots``.
 
         Returns the masks ``(n,)`` of those that were fused and gated, and the update if anything was fused.
         """
@@ -224,7 +224,7 @@ class EkfEstimator:
             weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
             update = innovation.update(weighted, good)
             change = update.correction - correction
-            if (change**2 <= _AT_REST**2 * np.diagonal(state.cov)).all():
+            if (change**2 <= _CONVERGED**2 * np.diagonal(state.cov)).all():
                 break
         state.correct(update)
         return good, gated, update
@@ -301,7 +301,7 @@ class EkfEstimator:
         return np.broadcast_to(self._track_noise.sigma**2, (len(rows), 3))
 
     def _record_marginalised(self, seen: BoolArray) -> None:
-        """Note what is known now of the landmarks that are about to leave."""
+        """Record the estimates of landmarks before they are marginalised."""
         state, left = self.state, np.flatnonzero(~seen)
         self._matches.append(
             np.column_stack([state.track[left], state.landmarks[left, 3], state.variances()[left, 3]])

@@ -59,7 +59,7 @@ class InertialMotion:
         }
 
     def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
-        """Return the priors' mean: nothing more is known."""
+        """Return the prior mean."""
         del layout, frame
         return nav
 

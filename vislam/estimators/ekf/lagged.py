@@ -1,4 +1,4 @@
-"""Poses of the last frames as later frames tell them, carried forward with the filter.
+"""Fixed-lag smoothed poses, carried forward with the filter.
 
 The backward pass (:mod:`vislam.estimators.ekf.backward`) to frame k from every frame k + L would take as many
 backward passes as frames. The same smoothed poses come about on the way forward, a fixed-point smoother for
@@ -7,7 +7,7 @@ joint state now, and M what a step does to the latter,
 
     C <- C M^T,
 
-and a measurement with innovation y of covariance S tells of the pose
+and a measurement with innovation y of covariance S corrects the pose by
 
     x_hat <- x_hat + C H^T S^-1 y,    P <- P - C H^T S^-1 H C^T,    C <- C - C H^T S^-1 H P_joint.
 
@@ -33,7 +33,7 @@ _SIZE = POSE.stop - POSE.start
 
 
 class LastPoses:
-    """Poses of the last frames, and what the data since then say of them.
+    """Poses of the last frames, smoothed by the data since.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class LastPoses:
         return self._reader.finish(self._read)
 
     def _read(self, k: int, with_cov: bool) -> tuple[Array, Array | None]:
-        """Pose ``(4, 4)`` of one of the last frames as known now, and its covariance ``(6, 6)``."""
+        """Smoothed pose ``(4, 4)`` of one of the last frames, and its covariance ``(6, 6)``."""
         place = len(self._pose) - 1 - (self._newest - k)
         error = self._error[_SIZE * place : _SIZE * (place + 1)]
         return se3.retract(self._pose[place], error), self._cov[place].copy() if with_cov else None
@@ -97,7 +97,7 @@ class LastPoses:
             self._rows[:, POSE] = self._rows[:, POSE] @ step.pose.T
 
     def _told(self, update: Update) -> Array:
-        """Take what a measurement tells of the poses; return their covariance with the state after it."""
+        """Correct the poses by a measurement; return their covariance with the state after it."""
         projected = update.jacobian.times(self._rows.T)
         # C H^T L^-T, from the right as in Update.of.
         gain = dtrsm(1.0, update.factor, projected.T, side=1, lower=1, trans_a=1, overwrite_b=1)

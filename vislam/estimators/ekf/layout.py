@@ -1,4 +1,4 @@
-"""Where things stand in the joint state: named blocks of the navigation state, then the landmarks."""
+"""Layout of the joint state: named blocks of the navigation state, then the landmarks."""
 
 from collections.abc import Iterator, Mapping
 

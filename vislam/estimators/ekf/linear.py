@@ -25,7 +25,7 @@ from vislam.models.odometry import POSE
 
 @dataclass
 class Adjoint:
-    """What later data say about the error at one time.
+    """Adjoint (information vector and matrix) of later data at one time.
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class Adjoint:
 
     @classmethod
     def of_the_last(cls, size: int) -> "Adjoint":
-        """Adjoint after the last step: nothing more is said, and what comes last is what there is."""
+        """Adjoint after the last step: zero."""
         vectors = np.zeros((size, 7))
         vectors[POSE, 1:] = np.eye(6)
         return cls(np.zeros((size, size)), vectors)
 
     def expected(self, rows: Array) -> tuple[Array, Array, Array]:
-        """What all data say of the error of some rows: mean, loss of covariance, cross-covariance.
+        """Smoothed error of some rows: mean, reduction of covariance, cross-covariance.
 
         Parameters
         ----------

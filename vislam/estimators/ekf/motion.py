@@ -1,4 +1,4 @@
-"""The recorded twist as the filter's model of motion, and which model a problem asks for."""
+"""The recorded twist as the filter's motion model, and the choice of the model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Height:
             noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
 
     def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
-        """Tell that the pose is as high above the start as the vertical velocity has led."""
+        """Measure the height of the pose by the integrated vertical velocity."""
         if self._noise is None:
             return []
         up, by_tilt = up_axis(nav[layout["tilt"]])
@@ -65,7 +65,7 @@ class Height:
         return [Measurement(nav[layout["height"]] - up @ position, by_nav, np.array([HEIGHT_SIGMA**2]))]
 
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
-        """Tell up by the tilt, where it is estimated."""
+        """Direction of up by the tilt, where it is estimated."""
         return None if self._noise is None else up_axis(nav[layout["tilt"]])[0]
 
 
@@ -95,7 +95,7 @@ class OdometryMotion:
         return {**found, **self._height.blocks()}
 
     def first(self, layout: NavLayout, nav: Array, frame: Frame) -> Array:
-        """Return the priors' mean: nothing more is known."""
+        """Return the prior mean."""
         del layout, frame
         return nav
 
@@ -129,7 +129,7 @@ class OdometryMotion:
         return self._height.measurements(layout, world_T_imu, nav)
 
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
-        """Tell up by the tilt, where it is estimated."""
+        """Direction of up by the tilt, where it is estimated."""
         return self._height.up(layout, nav)
 
     def _walk(self, layout: NavLayout, dt: float, noise: Array) -> None:
@@ -162,7 +162,7 @@ class SmoothMotion(OdometryMotion):
         self._acceleration = problem.noise.acceleration
 
     def blocks(self) -> Mapping[str, Block]:
-        """Blocks in use; of the first twist next to nothing is known but the first inertial sample."""
+        """Blocks in use; the first twist has a weak prior at the first inertial sample."""
         twist = Block(np.zeros(6), np.sqrt(FIRST_TWIST_S) * self._acceleration)
         return {**super().blocks(), "twist": twist, "step": Block(np.zeros(6), np.zeros(6))}
 
@@ -221,7 +221,7 @@ class SmoothMotion(OdometryMotion):
 
 
 def make(problem: Problem) -> Motion:
-    """Model of motion that a problem asks for."""
+    """Motion model of a problem."""
     if problem.imu is not None:
         return InertialMotion(problem)
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)

@@ -1,10 +1,10 @@
-"""What a filter believes to learn of where the world is, which no measurement can tell.
+"""Spurious information of a filter along the unobservable directions.
 
 A rigid motion ``xi`` of the whole world, pose and landmarks together, changes no measurement. As an error of
 the state it is a direction ``N xi`` that starts as ``Ad(T^-1) xi`` at the first pose, is passed on by the
 filter's linear steps as every other error is (motion, new landmarks, new coordinates of the error, but not
 the gain), and which the Jacobians of a consistent filter do not see: ``H N = 0``. What they do see of it is
-information from nowhere, ``N^T H^T R^-1 H N`` an update. Huang, Mourikis and Roumeliotis,
+spurious information, ``N^T H^T R^-1 H N`` an update. Huang, Mourikis and Roumeliotis,
 *Observability-based rules for designing consistent EKF SLAM estimators*, IJRR 29 (2010), section 4.
 """
 

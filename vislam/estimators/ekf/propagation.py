@@ -71,7 +71,7 @@ class Motion(Protocol):
 
     @property
     def information(self) -> Mapping[str, str]:
-        """What an estimator says of it beside others."""
+        """Information about it that an estimator reports."""
         ...
 
     def blocks(self) -> Mapping[str, Block]:

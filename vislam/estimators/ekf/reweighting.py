@@ -53,7 +53,7 @@ def student_weights(
     -------
     weights : (n,)
     converged : bool
-        Whether they had come to rest after :data:`MOST` steps.
+        Whether they had converged after :data:`MOST` steps.
     """
     weights = first
     diagonal = np.arange(len(innovation))

@@ -19,7 +19,7 @@ ErrorForm = Literal["standard", "fej", "invariant"]
 
 @dataclass(frozen=True)
 class Marginalised(Step):
-    """Landmarks about to leave the state: what later data say about them is asked for in the backward pass.
+    """Landmarks before they are marginalised, to be smoothed in the backward pass.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Marginalised(Step):
 
 @dataclass(frozen=True)
 class PoseRows(Step):
-    """The pose at a frame, which later data are asked about in the backward pass.
+    """The pose at a frame, to be smoothed in the backward pass.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class JointState:
         self.seen_at = np.concatenate([self.seen_at, np.full(len(track), seen_at)])
 
     def keep(self, mask: BoolArray) -> None:
-        """Marginalise the landmarks outside the mask ``(n,)``: their rows and columns go."""
+        """Marginalise the landmarks outside the mask ``(n,)``: drop their rows and columns."""
         if self.steps is not None:
             self.steps.append(self.marginalised(np.flatnonzero(~mask)))
         step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, LANDMARK)]))
@@ -218,7 +218,7 @@ class JointState:
         self.seen_at = self.seen_at[mask]
 
     def marginalised(self, slots: IntArray) -> "Marginalised":
-        """What is known of some landmarks now."""
+        """Estimates of some landmarks before they are marginalised."""
         nav = self.layout.size
         rows = self.cov[nav:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
         columns = nav + LANDMARK * slots[:, None] + np.arange(3)
@@ -231,7 +231,7 @@ class JointState:
         )
 
     def note_pose(self) -> None:
-        """Note that later data shall tell what the pose is now."""
+        """Record the pose, to be smoothed in the backward pass."""
         self._note(PoseRows(self.world_T_imu, self.cov[POSE].copy()))
 
     def _retract(self, error: Array) -> Reset | None:

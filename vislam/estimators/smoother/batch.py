@@ -1,4 +1,4 @@
-"""Batch optimisation of a whole drive, from the incremental estimate."""
+"""Batch optimisation of a whole sequence, from the incremental estimate."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
 
-_AT_REST = 1e-6
+_CONVERGED = 1e-6
 """A round that lowers the cost by less than this share of it is the last one."""
 _NOTHING = 1e-9
 """So is one that lowers it by less than this: squares of residuals in standard deviations."""
@@ -37,7 +37,7 @@ _NO_WEIGHT = 1e-6
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where an optimisation came to rest.
+    """Result of an optimisation.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class Optimum:
         Half the sum of the squared whitened residuals, under the robust kernel.
     rounds : int
         Triangulations and optimisations done.
-    at_rest : bool
-        Whether the last round lowered the cost by next to nothing.
+    converged : bool
+        Whether the last round converged.
     stopped : str
         Option whose budget ended it before; empty if none did.
     """
@@ -55,13 +55,13 @@ class Optimum:
     values: gtsam.Values
     cost: float
     rounds: int
-    at_rest: bool
+    converged: bool
     stopped: str
 
 
 @dataclass
 class Drive:
-    """All that is known of a whole drive, as one problem.
+    """The batch problem of a whole sequence.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class Drive:
         return moved
 
     def optimise(self, values: gtsam.Values, options: SmootherOptions, budget: Budget) -> Optimum:
-        """Find the most probable drive from an estimate of it, with the factors that the options name."""
+        """Maximum a posteriori estimate from an initial one, with the factors that the options name."""
         if options.factors == "stereo":
             return minimise(
                 self.graph(),
@@ -140,7 +140,7 @@ class Drive:
         everything = gtsam.Values(values)
         everything.update(found.values)
         located = self.triangulated(everything, clear=options.initialisation_snr)
-        return replace(found, values=located, at_rest=not found.stopped)
+        return replace(found, values=located, converged=not found.stopped)
 
     def graduate(self, values: gtsam.Values, budget: Budget) -> tuple[gtsam.Values, int]:
         """Take outliers out of the tracks; returns the values of what is left, and how many they were."""
@@ -237,7 +237,7 @@ def minimise(
     rounds: int,
     budget: Budget,
 ) -> Optimum:
-    """Levenberg-Marquardt, again from where ``restart`` moves the best values, until the cost rests.
+    """Levenberg-Marquardt, restarted from ``restart`` of the best values, until convergence.
 
     Parameters
     ----------
@@ -250,15 +250,15 @@ def minimise(
     budget : Budget
         Once it is spent, the best values so far are the result.
     """
-    best, cost, done, at_rest, stopped = values, graph.error(values), 0, False, budget.spent
-    while done < rounds and not at_rest and not stopped:
+    best, cost, done, converged, stopped = values, graph.error(values), 0, False, budget.spent
+    while done < rounds and not converged and not stopped:
         done += 1
         found = _descend(graph, restart(best), budget)
-        at_rest = not found.cut and not found.cost < cost - max(_AT_REST * cost, _NOTHING)
+        converged = not found.cut and not found.cost < cost - max(_CONVERGED * cost, _NOTHING)
         if found.cost < cost:
             best, cost = found.values, found.cost
-        stopped = budget.spent if found.cut or (done < rounds and not at_rest) else ""
-    return Optimum(best, cost, done, at_rest, stopped)
+        stopped = budget.spent if found.cut or (done < rounds and not converged) else ""
+    return Optimum(best, cost, done, converged, stopped)
 
 
 def graduate(

@@ -70,7 +70,7 @@ class Engine(Protocol):
         """
         ...
 
-    def settle(self) -> None:
+    def converge(self) -> None:
         """Relinearise everything once."""
         ...
 
@@ -223,7 +223,7 @@ class WholeGraph(_Read):
         slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
         return slots[1:] if self._anchored else slots
 
-    def settle(self) -> None:
+    def converge(self) -> None:
         """Relinearise everything once, unless nothing is to be, and solve it whole."""
         everything = gtsam.ISAM2UpdateParams()
         everything.force_relinearize = self._every > 0
@@ -299,7 +299,7 @@ class FixedLag(_Read):
         _solved(self._solver.update, graph, values, dict(stamps), list(remove))
         return list(self._solver.getISAM2Result().getNewFactorsIndices())
 
-    def settle(self) -> None:
+    def converge(self) -> None:
         """Update without anything new."""
         _solved(self._solver.update)
 

@@ -14,7 +14,7 @@ from vislam.models import shared_errors
 
 VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
-    # The textbook's pose graph: with the bias, which is of the order of the drift, taken for known.
+    # The textbook's pose graph: with the bias, which is of the order of the drift, assumed known.
     "isam2_between": {"motion": "between"},
     "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
     # What is relinearised beside a marginal, which is not, makes the whole window jump, far from the start by

@@ -30,14 +30,14 @@ _log = logging.getLogger("vislam.estimators.smoother")
 
 
 class SmootherEstimator:
-    """Poses, twist biases and landmarks in one graph, of the whole drive or of a lag.
+    """Poses, twist biases and landmarks in one graph, of the whole sequence or of a lag.
 
-    Only variables seen in the last frames are relinearised on the way: the linearisation of what lies
+    Only variables observed in the last frames are relinearised in between: the linearisation of what lies
     behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is.
 
     A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there,
     and from these, without the landmarks that broke it, the solver is rebuilt and the step repeated. The
-    rescue is counted and told.
+    solver recovery is counted and reported.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class SmootherEstimator:
             self._recovery.repeat(frame, error)
         self._recovery.go_on(frame)
         seen = [track for track in now if track.id in solver.tracks.in_view]
-        solver.find_astray(seen)
+        solver.find_degenerate(seen)
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
         every = self._options.pose_cov_every
@@ -116,7 +116,7 @@ class SmootherEstimator:
                 states = self._motion.states(engine, frame, with_sigma=True)
                 return states, self._solver.covariance(frame.k)
             except IndeterminateError:
-                self._counts["covariances_refused"] = self._counts.get("covariances_refused", 0) + 1
+                self._counts["covariances_failed"] = self._counts.get("covariances_failed", 0) + 1
         return self._motion.states(engine, frame, with_sigma=False), None
 
     def finalize(self) -> Final:
@@ -149,12 +149,12 @@ class SmootherEstimator:
             map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
             counts={
                 "landmarks_too_weak": solver.tracks.too_weak + len(solver.tracks.waiting),
-                "landmarks_set_aside": solver.tracks.set_aside,
-                "views_dropped_waiting": solver.tracks.views_dropped,
+                "landmarks_rejected": solver.tracks.rejected,
+                "observations_dropped_pending": solver.tracks.views_dropped,
                 **self._counts,
                 "recoveries": self._recovery.recoveries,
                 "steps_by_qr": self._recovery.by_qr,
-                "cholesky_refusals": self._recovery.refusals,
+                "cholesky_failures": self._recovery.refusals,
             },
             up=self._world.up(first),
             fused=(
@@ -202,13 +202,13 @@ class SmootherEstimator:
                     self._events.append(_stopped("relinearised", budget, budget.spent))
                     break
                 try:
-                    self._solver.engine.settle()
+                    self._solver.engine.converge()
                     values = self._solver.engine.estimate()
                 except IndeterminateError:
                     self._counts["final_iterations_undone"] += 1
                     break
                 budget.count("relinearised")
-            values = self._or_anew(drive, values, budget)
+            values = self._or_restarted(drive, values, budget)
         elif options.final != "as_is":
             if options.final == "gnc":
                 values, self._counts["outliers"] = drive.graduate(values, budget)
@@ -218,19 +218,19 @@ class SmootherEstimator:
             if found.stopped:
                 cost = f"cost {found.cost:.6g}, still falling by {budget.fall:.3g} an iteration"
                 self._events.append(f"{_stopped(options.final, budget, found.stopped)}, {cost}")
-            elif not found.at_rest:
-                self._events.append(f"the cost did not rest in {found.rounds} rounds of optimisation")
+            elif not found.converged:
+                self._events.append(f"the cost did not converge in {found.rounds} rounds of optimisation")
             if options.plain:
-                values = self._or_anew(drive, values, budget)
+                values = self._or_restarted(drive, values, budget)
         return values
 
-    def _or_anew(self, drive: Drive, values: gtsam.Values, budget: Budget) -> gtsam.Values:
-        """Return the estimate, or one found from the inertial path where it is worse than that."""
-        anew = restarted(drive, values, self._problem, self._options, budget)
-        if anew is None:
+    def _or_restarted(self, drive: Drive, values: gtsam.Values, budget: Budget) -> gtsam.Values:
+        """Return the estimate, or one re-initialised from the inertial path where it is worse than that."""
+        found = restarted(drive, values, self._problem, self._options, budget)
+        if found is None:
             return values
         self._events.append("the estimate had diverged: re-initialised from the inertial path")
-        return anew
+        return found
 
 
 def _stopped(what: str, budget: Budget, by: str) -> str:

@@ -290,7 +290,7 @@ class BetweenMotion:
     bias goes into the poses as if it had been seen, and with it no clock can be estimated.
     """
 
-    information: Mapping[str, str] = {"twist bias": "taken for known"}
+    information: Mapping[str, str] = {"twist bias": "assumed known"}
     thresholds: Mapping[str, Array] = LINEAR
 
     def __init__(self, problem: Problem) -> None:
@@ -331,7 +331,7 @@ class BetweenMotion:
         """Read nothing: there is no variable but pose and height."""
 
     def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
-        """Bias that is taken for known; it is not estimated, and has no standard deviation."""
+        """Bias that is assumed known; it is not estimated, and has no standard deviation."""
         del engine, frame, with_sigma
         return {TWIST_BIAS: State(np.array(self._problem.bias_mean))}
 

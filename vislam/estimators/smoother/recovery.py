@@ -1,4 +1,4 @@
-"""What is done about a step that GTSAM cannot solve: one way after the other, until one goes."""
+"""Solver recovery: strategies for a step that GTSAM cannot solve, tried in order."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from vislam.geometry import se3
 from vislam.models import StereoRig
 
 _MOST_SUSPECTS = 20
-"""A rescue that has set aside this many landmarks looks for no more of those that errors name."""
+"""A recovery that has rejected this many landmarks looks for no more of those that errors name."""
 
 
 @dataclass
@@ -39,7 +39,7 @@ class _Failure:
 
 @dataclass(frozen=True)
 class _Way:
-    """A way to repeat the step: without the suspects, and from these poses, by frame."""
+    """A recovery strategy: repeat the step without the suspects, from these poses, by frame."""
 
     suspects: list[Track]
     poses: Mapping[int, Array]
@@ -82,7 +82,7 @@ class Recovery:
         Raises
         ------
         DivergedError
-            If no way leads on, or it would be one rescue too many.
+            If all strategies fail, or it would be one recovery too many.
         """
         solver = self._solver
         failure = _Failure(error, solver.engine.factors(), solver.engine.linearization_point())
@@ -90,15 +90,15 @@ class Recovery:
             return
         self.recoveries += 1
         if self.recoveries > self._options.max_recoveries:
-            raise DivergedError(f"{failure.error}; it would be rescue {self.recoveries}")
+            raise DivergedError(f"{failure.error}; it would be recovery {self.recoveries}")
         gone: list[Track] = []
         for way in self._ways(failure, gone):
             found = ", ".join(self._describe(track, failure.point) for track in [*gone, *way.suspects][:3])
-            solver.set_aside(way.suspects)
+            solver.reject(way.suspects)
             gone += way.suspects
             if self._goes(frame, failure, way.poses):
                 self.events.append(
-                    f"frame {frame.k}: {failure.error}; {len(gone)} landmarks set aside, as {found or 'none'}"
+                    f"frame {frame.k}: {failure.error}; {len(gone)} landmarks rejected, as {found or 'none'}"
                 )
                 return
         raise DivergedError(f"{failure.error}, also without any landmark in view")
@@ -123,7 +123,7 @@ class Recovery:
             self._refused()
 
     def _by_qr(self, frame: Frame, failure: _Failure) -> bool:
-        """Go over to QR, where that has not been done and is allowed."""
+        """Switch to QR, where that has not been done and is allowed."""
         solver = self._solver
         if self._options.factorization != "auto" or solver.factorization != "cholesky":
             return False
@@ -141,7 +141,7 @@ class Recovery:
         self.refusals += 1
 
     def _ways(self, failure: _Failure, gone: list[Track]) -> Iterator[_Way]:
-        """Ways to go on, each asked for when the one before has failed; ``gone`` is what was set aside."""
+        """Ways to go on, each asked for when the one before has failed; ``gone`` is what was rejected."""
         solver = self._solver
         in_view = [track for track in solver.tracks.in_view.values() if failure.point.exists(track.key)]
         suspects = solver.strange(failure.point)
@@ -167,13 +167,13 @@ class Recovery:
         return [track for track in self._solver.tracks.landmarks if track.key == error.key]
 
     def _describe(self, track: Track, point: gtsam.Values) -> str:
-        """Say of a landmark what tells why it broke a step."""
+        """Describe why a landmark may have broken a step."""
         rig, view = self._rig, track.views[-1]
         disparity = view.z[0] - view.z[1]
         measured = rig.fx * rig.baseline / disparity
         cam_T_world = rig.cam_T_imu @ se3.inverse(self._solver.poses[-1])
         depth = se3.transform(cam_T_world, point.atPoint3(track.key)[None])[0, 2]
         return (
-            f"track {track.id} ({len(track.views)} views, disparity {disparity:.1f} px, "
+            f"track {track.id} ({len(track.views)} observations, disparity {disparity:.1f} px, "
             f"depth {depth:.1f} m for {measured:.1f} m)"
         )

@@ -146,13 +146,13 @@ class Solver:
         _place(owners, slots)
         self._read(frame)
 
-    def set_aside(self, tracks: Sequence[Track]) -> None:
+    def reject(self, tracks: Sequence[Track]) -> None:
         """Fuse these tracks no more, and take their factors out with the next update."""
-        self.tracks.put_aside(tracks)
+        self.tracks.reject(tracks)
         for track in tracks:
             self._remove += track.slots
 
-    def find_astray(self, seen: Sequence[Track]) -> None:
+    def find_degenerate(self, seen: Sequence[Track]) -> None:
         """Set aside landmarks that came to lie behind the camera, in it, or on their way to infinity.
 
         A stereo factor whose point is behind the camera has no Jacobian, and the system loses rank; a
@@ -161,7 +161,7 @@ class Solver:
         points = self.engine.points([track.key for track in seen])
         for track, point in zip(seen, points, strict=True):
             track.point = point
-        self.set_aside(
+        self.reject(
             [
                 track
                 for track, good in zip(seen, self._plausible(points, self.poses[-1]), strict=True)
@@ -219,7 +219,7 @@ class Solver:
                 values.update(X(k), gtsam.Pose3(poses[k]))
         landmarks, stamps = self.tracks.landmarks, self._all_stamps(frame)
         oldest = -np.inf if self._options.lag_s is None else frame.stamp - self._options.lag_s
-        # What was set aside may be left in the factors of what has been marginalised, and only in these: they
+        # What was rejected may be left in the factors of what has been marginalised, and only in these: they
         # need not determine it.
         left = [key for key in list(values.keys()) if key not in stamps]
         for key in filter(is_landmark, left):

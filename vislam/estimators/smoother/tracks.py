@@ -54,7 +54,7 @@ class Tracks:
     """All tracks of a drive, each in one of four places.
 
     A track waits until its depth is clear, then it is a landmark in view; with the first frame that does not
-    have it, it ends. A track whose landmark became degenerate is set aside for as long as it lasts. Where
+    have it, it ends. A track whose landmark became degenerate is rejected for as long as it lasts. Where
     landmarks are seen again, a track that has ended comes back into view, and one that waits goes on waiting.
 
     Parameters
@@ -70,8 +70,8 @@ class Tracks:
         Landmarks of the graph that are out of view, by the track's id.
     former : list of Track
         Landmarks that a lag has marginalised before their track went on: it waits for another.
-    too_weak, set_aside, views_dropped : int
-        Tracks that ended before their depth was clear, tracks that were set aside, and views of waiting
+    too_weak, rejected, views_dropped : int
+        Tracks that ended before their depth was clear, tracks that were rejected, and views of waiting
         tracks that were let go.
     """
 
@@ -81,7 +81,7 @@ class Tracks:
         self.in_view: dict[int, Track] = {}
         self.ended: dict[int, Track] = {}
         self.former: list[Track] = []
-        self.too_weak = self.set_aside = self.views_dropped = 0
+        self.too_weak = self.rejected = self.views_dropped = 0
         self._aside: set[int] = set()
         self._started = self._frames_without = 0
 
@@ -180,7 +180,7 @@ class Tracks:
             started.append(track)
         return started
 
-    def put_aside(self, tracks: Sequence[Track]) -> None:
+    def reject(self, tracks: Sequence[Track]) -> None:
         """Fuse these tracks no more."""
         if not tracks:
             # There are none at nearly all frames, and all that have ended are many.
@@ -192,7 +192,7 @@ class Tracks:
         for track in tracks:
             if self.ended.get(track.id) is track:
                 del self.ended[track.id]
-        self.set_aside += len(tracks)
+        self.rejected += len(tracks)
 
 
 def locate(
