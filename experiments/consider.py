@@ -52,10 +52,9 @@ CONSIDER = ConsiderConfig(
     principal_point=2.0,
     clock=0.02,
     velocity_direction=0.01,
-    rate_direction=0.025,
 )
 """One setting for all: mounting to 0.2 deg, stereo matching to 0.3 px, calibration to 2 px, stamps to a fifth
-of a frame, velocity to 0.6 deg, and turn rates about level axes on roads of 2.5 % crossfall."""
+of a frame, velocity to 0.6 deg."""
 BLOCKS = 8
 SEEDS = 4
 TURN = 0.003
