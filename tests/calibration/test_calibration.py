@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vislam.base.errors import DataError, DivergedError
+from vislam.base.errors import ConfigError, DataError, DivergedError
 from vislam.calibration import Calibration, calibrate, parameters
 from vislam.comparison.config import Config, DataConfig, NoiseConfig
 from vislam.comparison.open import Dataset
@@ -263,3 +263,10 @@ def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
     assert np.mean(match) >= 0.5
     assert min(rates.values()) >= 0.5, rates
     assert np.mean(levels) == pytest.approx(PLANTED["noise.matching_bias_px"], rel=0.15)
+
+
+def test_noise_of_raw_inertia_is_not_calibrated_and_says_so():
+    dataset = simulated(1, frames=4)
+    config = Config(name="a", data=DataConfig(file="x.npz"), motion="imu")
+    with pytest.raises(ConfigError, match="motion: expected odometry"):
+        calibrate(config, dataset, parameters())

@@ -90,10 +90,13 @@ def test_lags_and_bound_are_kept_with_the_results(found, tmp_path):
         ("noise.acceleration_density", [0.1, 0.1, 0.1, 1.0, 1.0, 1.0]),
         ("noise.vertical_velocity", {}),
         ("data.file", "03.npz"),
+        ("motion", "imu"),
     ],
 )
 def test_a_drive_without_a_bound_gets_a_line(path, value):
-    with pytest.raises(ConfigError, match=r"^(data|noise)\S*: expected .*, got .*bound: true") as raised:
+    with pytest.raises(
+        ConfigError, match=r"^(data|noise|motion)\S*: expected .*, got .*bound: true"
+    ) as raised:
         refuse_unbounded(load(EFFICIENCY, overrides={path: value}))
     assert "\n" not in str(raised.value)
     refuse_unbounded(load(EFFICIENCY, overrides={path: value, "bound": False}))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vislam.base.errors import DivergedError
+from vislam.base.errors import ConfigError, DivergedError
 from vislam.base.types import Array, BoolArray
 from vislam.base.workers import Workers
 from vislam.calibration.likelihood import Evaluator
@@ -105,6 +105,8 @@ def calibrate(
 
     Raises
     ------
+    ConfigError
+        If the model of motion is raw inertia, of which nothing is calibrated here.
     DataError
         If there is nothing to calibrate on.
     DivergedError
@@ -113,6 +115,10 @@ def calibrate(
     """
     if processes < 1:
         raise ValueError(f"processes must be >= 1, got {processes}")
+    if config.motion != "odometry":
+        raise ConfigError(
+            "motion: expected odometry, whose noise is calibrated, got imu; set motion to odometry"
+        )
     require_usable(dataset)
     workers = Workers(processes, say=say) if processes > 1 else None
     try:

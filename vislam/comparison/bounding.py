@@ -84,6 +84,9 @@ def drive_bound(config: Config, dataset: Dataset, given: Tracks) -> Bound | None
 def _unlike(config: Config) -> Iterator[tuple[str, str, str]]:
     """Path, what is expected there and what came, of all that does not fit a bound."""
     drive, noise = config.data.simulation, config.noise
+    if config.motion != "odometry":
+        yield "motion", "odometry, whose noise the bound is of", config.motion
+        return
     if drive is None or config.data.file is not None:
         yield "data", "a simulation alone, whose truth is known", "a recording"
         return
