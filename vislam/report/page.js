@@ -42,7 +42,7 @@
     button.textContent = header.textContent.trim();
     header.replaceChildren();
     button.addEventListener("click", () => sort(header));
-    header.append(button, ...(what ? [what] : []));
+    header.append(button, ...(what ? [" ", what] : []));
   }
 
   // A box that does not show all that is in it says so.
