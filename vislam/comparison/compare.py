@@ -321,7 +321,8 @@ def _parted(config: Config, dataset: Dataset) -> tuple[Dataset, Tracks]:
         held = hold_out(given.track, share=config.held_out.share, seed=config.held_out.seed)
         given, kept_back = given.select(~held), given.select(held)
     sigma = pixel_sigma(config, replace(dataset, sequence=kept_back))
-    return replace(dataset, sequence=given, held_out=kept_back), Tracks.of(kept_back, sigma)
+    strip = None if dataset.strip is None else dataset.strip.of_given(given.row, kept_back.row)
+    return replace(dataset, sequence=given, held_out=kept_back, strip=strip), Tracks.of(kept_back, sigma)
 
 
 def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, common_set: CommonSet | None) -> Record:
@@ -346,6 +347,7 @@ def _record(dataset: Dataset, given: Tracks, kept_back: Tracks, *, common_set: C
         reference=dataset.reference,
         common_set=common_set,
         provenance=provenance(),
+        strip=dataset.strip,
     )
 
 

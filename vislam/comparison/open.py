@@ -22,6 +22,7 @@ from vislam.comparison.redraw import redraw, redrawn_note
 from vislam.comparison.simulated import simulated
 from vislam.core.reference import Reference
 from vislam.core.sequence import Repair, Sequence
+from vislam.core.strip import Strip
 from vislam.datasets.find import find_file, find_path, not_found, search_path
 from vislam.datasets.oxts import with_oxts
 from vislam.datasets.recording import Opening, Recording
@@ -49,6 +50,8 @@ class Dataset:
     held_out : Sequence or None
         Tracks that are kept from every estimator, with ids that the sequence does not have, and without a say
         in its repairs. None: none was chosen when it was opened.
+    strip : Strip or None
+        Small pictures, where the tracks are of images.
     """
 
     sequence: Sequence
@@ -56,6 +59,7 @@ class Dataset:
     notes: tuple[str, ...]
     implausible: tuple[Implausible, ...] = ()
     held_out: Sequence | None = None
+    strip: Strip | None = None
 
 
 def require_usable(dataset: Dataset) -> None:
@@ -106,7 +110,7 @@ def open_dataset(
     raw = open_recording(config, opening, allow_substitute=allow_substitute)
     wrong = () if raw.sequence.synthetic else _implausible(raw.sequence, config)
     sequence, kept_back = _parted(raw.sequence, config, held_out)
-    dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back)
+    dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back, raw.strip)
     return dataset if raw.sequence.synthetic else _redrawn(dataset, config, seed)
 
 

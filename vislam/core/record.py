@@ -35,6 +35,8 @@ from vislam.core.schema import (
 )
 from vislam.core.sequence import Repair, Sequence
 from vislam.core.stamped import Stamped
+from vislam.core.strip import TABLE as STRIP
+from vislam.core.strip import Strip
 from vislam.models import StereoRig
 
 _WHAT = "the saved record of a drive"
@@ -95,6 +97,8 @@ _TABLE: Table = {
     "bound.smoothed": real("T 6 6"),
     "bound.filtered_error": real("T 6"),
     "bound.smoothed_error": real("T 6"),
+    "strip": Section(optional=True, later=True),
+    **{f"strip.{name}": item for name, item in STRIP.items()},
 }
 """The fields of a saved record: type, shape and range of each, a letter for each size."""
 
@@ -153,6 +157,8 @@ class Record:
         Mean inertial twist (omega, v) over the step that ends at each frame [rad/s, m/s].
     bound : Bound or None
         The least that any estimator can err by; None where it was not asked for.
+    strip : Strip or None
+        Small pictures with the observations in them, where the tracks are of images.
     """
 
     name: str
@@ -170,6 +176,7 @@ class Record:
     provenance: dict[str, str]
     step_twist: Array | None = None
     bound: Bound | None = None
+    strip: Strip | None = None
 
     def save(self, path: Path) -> None:
         """Write the record, whole or not at all."""
@@ -180,7 +187,7 @@ class Record:
         """Read a saved record; a DataError names what is invalid."""
         tree = read_archive(path, _TABLE, what=_WHAT, former=_FORMER)
         kinds = {"rig": StereoRig, "reference": Reference, "common_set": CommonSet}
-        kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound}
+        kinds |= {"given": Tracks, "held_out": Tracks, "bound": Bound, "strip": Strip}
         if tree["reference"] is not None and tree["reference"].get("source") is not None:
             tree["reference"]["source"] = Stamped(**tree["reference"]["source"])
         for name, kind in kinds.items():

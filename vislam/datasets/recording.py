@@ -7,6 +7,7 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence
+from vislam.core.strip import Strip
 from vislam.datasets.find import find_file, not_found
 
 
@@ -47,9 +48,12 @@ class Recording:
         there is none.
     notes : tuple of str
         What a reader of results must know.
+    strip : Strip or None
+        Small pictures, where the tracks are of images.
     """
 
     sequence: Sequence
     reference: Reference | None = None
     points_world: Array | None = None
     notes: tuple[str, ...] = ()
+    strip: Strip | None = None

@@ -14,6 +14,7 @@ from vislam.base.types import Array, IntArray
 from vislam.core.imu import ImuSeries
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence
+from vislam.core.strip import Strip
 from vislam.datasets.archive import Arrays, opened, sha256
 from vislam.datasets.checks import LARGEST_FORCE, LARGEST_STAMP, LARGEST_TWIST, Observations
 from vislam.datasets.recording import Opening, Recording
@@ -97,7 +98,8 @@ class _Reader:
         reference = self._reference(len(stamp))
         points = None if reference is None else self._points(ids)
         made = (f"SIMULATED: the tracks of {self._path.name} are those of a simulation",)
-        return Recording(sequence, reference, points, made if sequence.synthetic else ())
+        strip = Strip.beside(self._path, frames=len(sequence), observations=sequence.observations)
+        return Recording(sequence, reference, points, made if sequence.synthetic else (), strip)
 
     def _check_keys(self) -> None:
         keys = self._arrays.keys

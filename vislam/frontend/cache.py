@@ -10,6 +10,7 @@ from vislam.base.errors import ConfigError
 from vislam.base.files import replace_whole
 from vislam.base.progress import Progress
 from vislam.core.images import Content, ImageRecording, StampedPoses
+from vislam.core.strip import strip_path
 from vislam.datasets.download import cache_folder
 from vislam.frontend.registry import Chosen
 
@@ -72,7 +73,7 @@ def copy_tracks(source: Path, target: Path) -> None:
     """Copy a file of tracks and what lies beside it."""
     from vislam.frontend.track_file import quality_path, reference_path, summary_path  # noqa: PLC0415
 
-    for part in (quality_path, summary_path, reference_path, lambda path: path):
+    for part in (quality_path, summary_path, reference_path, strip_path, lambda path: path):
         if part(source).is_file():
             with replace_whole(part(target)) as temporary:
                 shutil.copyfile(part(source), temporary)

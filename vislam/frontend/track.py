@@ -12,10 +12,12 @@ from vislam.base.progress import Progress
 from vislam.base.types import Array, IntArray
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
 from vislam.core.sequence import Sequence
+from vislam.core.strip import Strip
 from vislam.frontend.pictures import Pictures
 from vislam.frontend.protocol import Build, checked, counts_of
 from vislam.frontend.rows import row_rotation
 from vislam.frontend.settings import ReadingConfig
+from vislam.frontend.strip_taker import StripTaker, rows_by_frame
 from vislam.frontend.tracker import build
 from vislam.frontend.tracks import Tracks
 from vislam.models.stereo_pair import StereoPair
@@ -38,12 +40,15 @@ class Tracked:
         What was read, left out and lost, and why.
     figures : dict
         Lives, rows and speed.
+    strip : Strip
+        Small pictures with observations.
     """
 
     sequence: Sequence
     distance: Array
     counts: dict[str, int]
     figures: dict[str, float]
+    strip: Strip
 
 
 def track(
@@ -73,19 +78,22 @@ def track(
     pictures = Pictures(recording, equalise=config.equalise)
     front_end = build(recording, config)
     kept: list[tuple[int, Tracks]] = []
+    taker = StripTaker(len(recording))
     with progress.bar("tracking", len(recording)) as bar:
         for pictured in pictures:
             stamp = float(recording.stamp[pictured.index])
             found = front_end.process(pictured.left, pictured.right, stamp=stamp)
             if found is not None:
-                kept.append((pictured.index, checked(found, index=pictured.index)))
+                found = checked(found, index=pictured.index).by_id()
+                taker.offer(pictured.index, pictured.left, found, frame=len(kept))
+                kept.append((pictured.index, found))
             bar.done(pictured.index + 1)
     seconds = time.perf_counter() - started[0], time.process_time() - started[1]
     counts = {**recording.counts, **pictures.counts, **counts_of(front_end), "frames": len(kept)}
     if len(kept) < _FEWEST:
         told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
         raise DataError(f"{recording.left.place}: must have {_FEWEST} pairs that can be used ({told})")
-    return _assembled(recording, config, kept, counts, seconds=seconds)
+    return _assembled(recording, config, kept, counts, taker=taker, seconds=seconds)
 
 
 def _assembled(
@@ -94,6 +102,7 @@ def _assembled(
     kept: list[tuple[int, Tracks]],
     counts: dict[str, int],
     *,
+    taker: StripTaker,
     seconds: tuple[float, float],
 ) -> Tracked:
     """Put the frames together, without short tracks, and with rows that agree."""
@@ -145,7 +154,8 @@ def _assembled(
         "frames_per_second_of_cpu": len(kept) / max(seconds[1], 1e-9),
     }
     distance = np.concatenate([tracks.distance for _, tracks in kept])[long_enough]
-    return Tracked(sequence, distance, counts, figures)
+    strip = taker.strip(rows_by_frame(long_enough, _offsets(frame, len(kept))))
+    return Tracked(sequence, distance, counts, figures, strip)
 
 
 def _offsets(frame: IntArray, frames: int) -> IntArray:

@@ -8,6 +8,7 @@ import numpy as np
 from vislam.base.files import replace_whole, write_text
 from vislam.core.images import ImageRecording, StampedPoses
 from vislam.core.reference import Reference
+from vislam.core.strip import strip_path
 from vislam.datasets.export import write_tum
 from vislam.datasets.recording import Recording
 from vislam.datasets.tracks_npz import write_tracks_npz
@@ -37,7 +38,8 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
     that were made of it; these go into ``*_reference.tum``, too. ``*_quality.npz`` has ``forward_backward_px
     (n, 2)``, in the order of the observations: the forward-backward error of each from the frame before (0
     for the first of a track) and to the right image; and ``life (n,)``, the observations of its track.
-    ``*_front_end.json`` has the settings, counts and figures.
+    ``*_strip.npz`` has a few small pictures for the report. ``*_front_end.json`` has the settings, counts
+    and figures.
     """
     sequence, reference = tracked.sequence, None
     if isinstance(recording.reference, StampedPoses):
@@ -57,6 +59,7 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
         "gyro": recording.inertia is not None,
         "levelled": recording.levelled,
     }
+    tracked.strip.save(strip_path(path))
     with replace_whole(quality_path(path)) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **quality)
     write_text(summary_path(path), json.dumps(summary, indent=2) + "\n")

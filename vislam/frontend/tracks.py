@@ -67,6 +67,13 @@ class Tracks:
             self.track[keep], self.left[keep], self.right[keep], self.pixels[keep], self.distance[keep]
         )
 
+    def by_id(self) -> "Tracks":
+        """The same in the order of the ids, as a file of tracks has them."""
+        order = np.argsort(self.track, kind="stable")
+        return Tracks(
+            self.track[order], self.left[order], self.right[order], self.pixels[order], self.distance[order]
+        )
+
     def with_more(self, other: "Tracks") -> "Tracks":
         """These and others."""
         return Tracks(

@@ -7,7 +7,7 @@ from functools import cached_property
 from matplotlib.figure import Figure
 
 from vislam.core.run import ESTIMATES
-from vislam.report import consistency_figures, error_figures, limit_figures, time_figures
+from vislam.report import consistency_figures, error_figures, images, limit_figures, time_figures
 from vislam.report.shown import Shown
 from vislam.report.svg import plain_svg
 from vislam.report.top_view import error_paths, top_view
@@ -111,6 +111,11 @@ FIGURES: dict[str, tuple[Callable[[Shown], Figure | None], str, str]] = {
         "Observations",
         "Observations of each frame that were fused, of those left by the repairs (grey), and those "
         "that were not: rejected by the estimator, or not on the common list.",
+    ),
+    "disparities": (
+        images.disparities,
+        "Disparities",
+        "Observations by their disparity: those left by the repairs (grey), and those that each run fused.",
     ),
     "nis": (
         time_figures.nis,

@@ -23,6 +23,7 @@ from vislam.evaluation.definitions import DEFINITIONS
 from vislam.evaluation.metric import ESTIMATE_TITLES, METRICS
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import Drawing, figure_names
+from vislam.report.images import pictures_data
 from vislam.report.page_parts import draw_table, inline_svg, part, render
 from vislam.report.page_tables import (
     ablation_table,
@@ -102,6 +103,7 @@ def write_page(path: Path, content: Content) -> None:
     rows = {row[0] for table in tables.values() for row in table.rows}
     shown = [spec for spec in METRICS.values() if spec.label in rows and spec.key in DEFINITIONS]
     told = verdict(runs, evaluation, record.reference, unequal=content.unequal, spread=content.spread)
+    pictures = pictures_data(record, runs)
     text = render(
         "page.html",
         title=content.title,
@@ -128,6 +130,8 @@ def write_page(path: Path, content: Content) -> None:
         wide=WIDE,
         travelled=htmlsafe_json_dumps(_abscissa(*content.travelled)),
         scene=htmlsafe_json_dumps(scene) if scene else "",
+        pictures=htmlsafe_json_dumps(pictures) if pictures else "",
+        images_js=part("images.js"),
         scene_note=_scene_note(scene) if scene else "",
         counts=counts_table(record.counts, record.repairs, runs),
         repairs=repairs_table(record.repairs),
