@@ -50,3 +50,26 @@ def test_a_bag_is_tracked_once(bag, tmp_path, capsys):
     assert json.loads((tmp_path / "a_front_end.json").read_text())["counts"]["images_listed"] == 10
     assert main(wanted) == 0
     assert "from the cache" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_images_alone_are_compared_with_rates_that_say_nothing(tmp_path):
+    """A list without inertial samples: nothing is known of rates and velocities, and filters still run."""
+    import yaml
+
+    from tests.frontend.bags import write_camchain
+    from tests.frontend.studio import write_asl
+
+    write_asl(tmp_path, rendered(8))
+    write_camchain(tmp_path / "camchain.yaml")
+    cameras = "".join(
+        f"{side}: {{images: 'mav0/{camera}/data/*.png', rate_hz: 10}}\n"
+        for side, camera in (("left", "cam0"), ("right", "cam1"))
+    )
+    (tmp_path / "images.yaml").write_text(f"calibration: camchain.yaml\n{cameras}")
+    command = ["compare", "--data", "images.yaml", "--estimators", "stereo_vo,ekf_invariant", "--no-report"]
+    assert main(command) == 0
+    config = yaml.safe_load((tmp_path / "results" / "images.yaml").read_text())
+    density = config["noise"]["twist_density"]
+    assert density[0] == density[1] == density[2] > 0.1
+    assert density[3] == density[4] == density[5] > 1.0
