@@ -242,7 +242,7 @@ def _finding(judged: list[Judged], together: Together, seen: Profile, *, priors:
     """One finding: a fault where an error is found that the configured prior does not hold."""
     found = [item for item in judged if item.verdict == "found"]
     open_ = [item for item in found if _beyond(item, priors)]
-    proposal = {f"noise.{prior_name(item.name)}": _prior(item) for item in open_ if item.name in SIZES}
+    unknown = {f"noise.{prior_name(item.name)}": _advice(item) for item in open_ if item.name in SIZES}
     verdict: Verdict = "fault" if open_ else "ok"
     if not found and any(item.verdict == "unclear" for item in judged):
         verdict = "unclear"
@@ -255,7 +255,7 @@ def _finding(judged: list[Judged], together: Together, seen: Profile, *, priors:
         "; ".join(_told(judged, together, seen)),
         tuple(one for item in judged for one in item.measured),
         counts,
-        proposal,
+        unknown=unknown,
     )
 
 
@@ -265,9 +265,14 @@ def _beyond(item: Judged, priors: dict[str, float]) -> bool:
     return float(np.max(np.abs(item.value))) > 2.0 * known
 
 
-def _prior(item: Judged) -> float:
-    """Standard deviation that an error found is one of: its size, and what is not known of it."""
-    return float(f"{float(np.max(np.hypot(item.value, item.sigma))):.2g}")
+def _advice(item: Judged) -> str:
+    """Standard deviation that an error found is one of, which is not proposed.
+
+    As a state of an estimator it can be a worse model than none, where the residuals have another cause that
+    looks alike: held-out tracks decide.
+    """
+    size = float(np.max(np.hypot(item.value, item.sigma)))
+    return f"{size:.2g} would hold what the residuals ask for; try it against held-out tracks, or consider it"
 
 
 def _told(judged: list[Judged], together: Together, seen: Profile) -> list[str]:
