@@ -166,6 +166,11 @@ class WholeGraph(_Read):
     frames. With the landmarks free, the ordering eliminates them among the poses that have seen them, and a
     step costs the more the longer the tracks are, and the longer the drive.
 
+    GTSAM merges a clique into its parent where that has no variable beside the child's separator. The newest
+    pose is eliminated before the frame's other variables, so that the anchor below is in the clique that
+    comes first among them: else the poses that long tracks tie to each other, as one clique, would be merged
+    with what the next frame ties to, and eliminated anew with each.
+
     What is eliminated last carries all the drift: of its information, which is that of the last step, next to
     nothing is left once all else is eliminated, and GTSAM's Cholesky fails for a pivot that has lost more
     than seven digits. That is a matter of the order and not of the problem. So with Cholesky the very last is
@@ -202,7 +207,7 @@ class WholeGraph(_Read):
         del stamps
         self._rest(resting, back=self._at_rest.intersection(in_view))
         parameters, frame = gtsam.ISAM2UpdateParams(), gtsam.symbolIndex(newest[0])
-        remove, order = list(remove), [newest, in_view]
+        remove, order = list(remove), [newest[:1], newest[1:], in_view]
         if self._anchored:
             remove += [] if self._anchor is None else [self._anchor[0]]
             graph, values = self._with_anchor(newest[0], graph, values)
