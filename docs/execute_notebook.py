@@ -25,6 +25,8 @@ def main() -> int:
     """Execute all of them and write them with their outputs."""
     # The kernel finds this checkout, whatever is installed.
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")])
+    # Figures are drawn into the notebook, whatever backend the shell has set.
+    os.environ.pop("MPLBACKEND", None)
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         nbformat.write(execute(path), path)
     return 0
