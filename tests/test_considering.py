@@ -126,7 +126,7 @@ def test_varied_runs_are_given_what_the_run_had_and_gate_nothing(short_config, s
     (_, own), (problem, varied) = (one for one in linear_filter.BUILT if one[1])
     assert problem.gate_probability == 1.0
     assert np.array_equal(np.concatenate(own), np.concatenate(varied))
-    assert np.array_equal(np.concatenate(own), done.record.frozen.kept)
+    assert np.array_equal(np.concatenate(own), done.record.common_set.kept)
     assert not np.concatenate(own).all()
 
 

@@ -356,7 +356,7 @@ class ConsiderConfig:
     """
 
     camera_rotation: NonNegative | Three = 0.0
-    """Turn of the camera in the body about the camera's axes: right, down, ahead [rad]."""
+    """Turn of the cameras about the axes of the body [rad]."""
     disparity_offset: NonNegative = 0.0
     """Constant error of all disparities [px]."""
     principal_point: NonNegative | Two = 0.0

@@ -12,8 +12,17 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.core.sequence import Sequence
-from vislam.geometry import se3, so3
 from vislam.models import odometry
+from vislam.models.shared_errors import (
+    CAMERA_ROTATION,
+    CLOCK,
+    DISPARITY_OFFSET,
+    FOCAL_SCALE,
+    PRINCIPAL_POINT,
+    UNITS,
+    VELOCITY_DIRECTION,
+    CameraErrors,
+)
 
 
 @dataclass(frozen=True)
@@ -35,10 +44,13 @@ class Parameter:
     taken: Callable[[Sequence, Array], Sequence]
 
 
-def _camera_rotation(sequence: Sequence, turn: Array) -> Sequence:
-    """Turn the camera about its own axes: ``imu_R_cam exp(turn)``."""
-    imu_T_cam = sequence.rig.imu_T_cam @ se3.from_rotation_translation(so3.exp(turn), np.zeros(3))
-    return replace(sequence, rig=replace(sequence.rig, imu_T_cam=imu_T_cam))
+def _of_rig(name: str) -> Callable[[Sequence, Array], Sequence]:
+    """How the rig is with one of the errors that :class:`~vislam.models.shared_errors.CameraErrors` has in it."""
+
+    def taken(sequence: Sequence, value: Array) -> Sequence:
+        return replace(sequence, rig=CameraErrors.of({name: value}).rig(sequence.rig))
+
+    return taken
 
 
 def _disparity_offset(sequence: Sequence, offset: Array) -> Sequence:
@@ -46,16 +58,6 @@ def _disparity_offset(sequence: Sequence, offset: Array) -> Sequence:
     pixels = sequence.pixels.copy()
     pixels[:, 2] += offset[0]
     return replace(sequence, pixels=pixels)
-
-
-def _principal_point(sequence: Sequence, offset: Array) -> Sequence:
-    rig = sequence.rig
-    return replace(sequence, rig=replace(rig, cx=rig.cx + float(offset[0]), cy=rig.cy + float(offset[1])))
-
-
-def _focal_scale(sequence: Sequence, share: Array) -> Sequence:
-    rig, scale = sequence.rig, 1.0 + float(share[0])
-    return replace(sequence, rig=replace(rig, fx=scale * rig.fx, fy=scale * rig.fy))
 
 
 def _clock(sequence: Sequence, late: Array) -> Sequence:
@@ -76,15 +78,16 @@ def _rate_direction(sequence: Sequence, direction: Array) -> Sequence:
 
 
 PARAMETERS: Mapping[str, Parameter] = {
-    "camera_rotation": Parameter(("x", "y", "z"), "rad", _camera_rotation),
-    "disparity_offset": Parameter(("",), "px", _disparity_offset),
-    "principal_point": Parameter(("column", "row"), "px", _principal_point),
-    "focal_scale": Parameter(("",), "", _focal_scale),
-    "clock": Parameter(("",), "s", _clock),
-    "velocity_direction": Parameter(("left", "up"), "rad", _velocity_direction),
+    CAMERA_ROTATION: Parameter(("x", "y", "z"), UNITS[CAMERA_ROTATION], _of_rig(CAMERA_ROTATION)),
+    DISPARITY_OFFSET: Parameter(("",), UNITS[DISPARITY_OFFSET], _disparity_offset),
+    PRINCIPAL_POINT: Parameter(("column", "row"), UNITS[PRINCIPAL_POINT], _of_rig(PRINCIPAL_POINT)),
+    FOCAL_SCALE: Parameter(("",), UNITS[FOCAL_SCALE], _of_rig(FOCAL_SCALE)),
+    CLOCK: Parameter(("",), UNITS[CLOCK], _clock),
+    VELOCITY_DIRECTION: Parameter(("left", "up"), UNITS[VELOCITY_DIRECTION], _velocity_direction),
     "rate_direction": Parameter(("roll", "pitch"), "rad", _rate_direction),
 }
-"""The parameters by name. The camera's turn is about its own axes (x right, y down, z ahead)."""
+"""The parameters by name, those that can be estimated as :mod:`vislam.models.shared_errors` has them; the
+cameras turn about the axes of the body."""
 
 
 def component_name(parameter: str, index: int) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from vislam.core.run import Beside, Estimate, Run
 from vislam.evaluation import Evaluation
-from vislam.evaluation.metric import of_beside, of_statistic
+from vislam.evaluation.metric import BESIDE_TITLES, of_beside, of_statistic
 from vislam.evaluation.smoothing import NAME as SMOOTHING
 from vislam.evaluation.statistics import Statistic
 from vislam.report.words import plain, times
@@ -90,8 +90,13 @@ class Consistency:
         word = self.word if self.word != "cannot be told" else "cannot be told from one effective sample"
         told = [word, *filter(None, [sigmas, held])]
         title = of_statistic(self.statistic.name).title.partition(" ")[0]
-        alone = "" if self.own is None else f"; {plain(self.own.value)} by its own"
-        numbers = f"({title} {plain(self.statistic.value)}, {low:.2g} to {high:.2g} expected{alone})"
+        alone, how = "", ""
+        if self.own is not None:
+            alone, how = (
+                f"; {plain(self.own.value)} by its own covariance",
+                f" with {BESIDE_TITLES[_SPOKEN_OF]}",
+            )
+        numbers = f"({title} {plain(self.statistic.value)}{how}, {low:.2g} to {high:.2g} expected{alone})"
         return f"{', '.join(told)} {numbers}{self._moved()}"
 
     def _moved(self) -> str:
