@@ -45,7 +45,7 @@ class Parameter:
 
 
 def _of_rig(name: str) -> Callable[[Sequence, Array], Sequence]:
-    """How the rig is with one of the errors that :class:`~vislam.models.shared_errors.CameraErrors` has in it."""
+    """How the rig is with one of the errors of :class:`~vislam.models.shared_errors.CameraErrors`."""
 
     def taken(sequence: Sequence, value: Array) -> Sequence:
         return replace(sequence, rig=CameraErrors.of({name: value}).rig(sequence.rig))
