@@ -20,7 +20,7 @@ SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
 CASES = {
     "short": {"loss_probability": 0.4},
     "long": {"loss_probability": 0.0, "depth_min": 20.0, "speed": 2.0},
-    "all_that_is_estimated": {"levelled_velocity": True, "hills_m": 10.0},
+    "all_that_is_estimated": {"navigation_frame_velocity": True, "hills_m": 10.0},
     "kernel": {"outlier_probability": 0.05},
 }
 MORE = {
@@ -37,7 +37,7 @@ def case(request, monkeypatch):
     name, kept = request.param, []
     config, dataset = drive(seed=5, frames=22, tracks_in_view=15, **CASES[name])
     if name == "all_that_is_estimated":
-        data = replace(config.data, repair=replace(config.data.repair, levelled_velocity=True))
+        data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
         config = replace(config, data=data, noise=replace(config.noise, **MORE))
         dataset = open_dataset(data, seed=5)
     if name == "kernel":

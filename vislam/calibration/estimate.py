@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
+from collections.abc import Sequence as Items
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,10 +11,13 @@ import numpy as np
 from vislam.base.errors import ConfigError, DivergedError
 from vislam.base.types import Array, BoolArray
 from vislam.base.workers import Workers
+from vislam.calibration.candidates import Candidate, chosen_of, left_out_points, score_candidates
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.match import matching_bias
-from vislam.calibration.parameters import MATCH, Parameter
-from vislam.calibration.search import ROUNDS, Round, maximise
+from vislam.calibration.match import MatchingBias, matching_bias
+from vislam.calibration.parameters import MATCH, Parameter, largest_of, lowest_of
+from vislam.calibration.search import ROUNDS, Maximum, Round, maximise
+from vislam.calibration.shared import SharedError, shared_errors, with_priors, with_shared, without_shared
+from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
@@ -26,10 +30,9 @@ _RESTS = 0.002
 """Share of the observations whose change of side ends the choosing."""
 _MATCH_RESTS = 0.5
 """Change of the match level, in its standard deviations, that ends it."""
-_LARGEST_LOG = 0.7
 _LEVELLINGS, _LEVEL = 3, 0.05
 """How often the pixel noise is scaled at most, and how near to 1 the NIS must come."""
-_LARGEST_OFFSET_STEPS = 10.0
+_LEAST_BIAS_SIGMA = 1e-5
 
 
 @dataclass(frozen=True)
@@ -62,20 +65,38 @@ class Calibration:
     Attributes
     ----------
     config : Config
-        With all that was estimated.
+        What is to be written: the best candidate, or the config from before.
     parameters : list of Calibrated
     bias, bias_sigma : (6,)
-        Twist bias over the sequence and its standard deviation [rad/s, m/s].
+        Twist bias over the sequence by the filter, and its standard deviation [rad/s, m/s]. No prior is made
+        of them.
+    shared : list of SharedError
+        Errors that all tracks share, by the filter.
+    standstill : Standstill
+        What stops tell of the bias; a prior where they do.
     before, after : Run
-        The filter with the config it started from and with the calibrated one, each with its own gate.
+        The filter with the config it started from and with the one that is written, each with its own gate.
+    candidates : list of Candidate
+        What could be written, with what it was scored by.
+    best : Candidate or None
+        None: each predicts worse than the config from before, which is written again.
     """
 
     config: Config
     parameters: list[Calibrated]
     bias: Array
     bias_sigma: Array
+    shared: list[SharedError]
+    standstill: Standstill
     before: Run
     after: Run
+    candidates: list[Candidate]
+    best: Candidate | None
+
+    @property
+    def rejected(self) -> str:
+        """Why the config from before is written again; empty if it is not."""
+        return "" if self.best is not None else "; ".join(self.candidates[0].objections)
 
 
 def calibrate(
@@ -83,6 +104,8 @@ def calibrate(
     dataset: Dataset,
     chosen: list[Parameter],
     *,
+    also: Items[Dataset] = (),
+    keep_bias_prior: bool = False,
     processes: int = 1,
     say: Callable[[str], None] = _log.info,
     keep: Callable[[Config, str], None] = lambda config, where: None,
@@ -96,6 +119,10 @@ def calibrate(
     dataset : Dataset
         Repaired by that config.
     chosen : list of Parameter
+    also : sequence of Dataset
+        Other recordings, on which what was found is scored, too; repaired by the same config.
+    keep_bias_prior : bool
+        Leave the prior of the bias as it is, whatever stops tell of it.
     processes : int
         How many filters run side by side.
     say : callable
@@ -119,10 +146,20 @@ def calibrate(
         raise ConfigError(
             "motion: expected odometry, whose noise is calibrated, got imu; set motion to odometry"
         )
-    require_usable(dataset)
+    for one in (dataset, *also):
+        require_usable(one)
     workers = Workers(processes, say=say) if processes > 1 else None
     try:
-        return _calibrate(config, chosen, Evaluator(dataset, config, workers), _Reporter(say, keep))
+        others = [Evaluator(one, config, workers) for one in also]
+        rest = UNKNOWN if keep_bias_prior else standstill(dataset.sequence)
+        return _calibrate(
+            config,
+            chosen,
+            Evaluator(dataset, config, workers),
+            others,
+            rest=rest,
+            reporter=_Reporter(say, keep),
+        )
     finally:
         if workers is not None:
             workers.close()
@@ -155,30 +192,96 @@ def _duration(seconds: float) -> str:
 
 
 def _calibrate(
-    config: Config, chosen: list[Parameter], evaluator: Evaluator, reporter: _Reporter
+    config: Config,
+    chosen: list[Parameter],
+    evaluator: Evaluator,
+    also: Items[Evaluator],
+    *,
+    rest: Standstill,
+    reporter: _Reporter,
 ) -> Calibration:
     before = _finished(evaluator.run(config))
-    current = config
-    match = matching_bias(current, evaluator)
+    start = with_shared(config, searched=[item.name for item in chosen])
+    searched = _search(start, chosen, evaluator, reporter)
+    current, run = _levelled(searched.config, evaluator, searched.run, reporter)
+    # The pixel noise that was levelled belongs to each fold, too.
+    scale = current.noise.pixel_sigma_px / searched.config.noise.pixel_sigma_px
+    last = _steady(current, evaluator, run)
+    bias, shared = last.states[TWIST_BIAS], shared_errors(last)
+    plain = _with_bias(without_shared(current, as_in=config), config, rest)
+    candidates = {
+        "shared errors known": plain,
+        "shared errors estimated": with_priors(plain, shared),
+    }
+    reporter.say("scored on parts of the recording that were not fitted")
+    folds = [
+        _scaled(_at(searched.config, chosen, point), scale)
+        for point in left_out_points(searched.maximum, len(before.stamp), chosen)
+    ]
+    scored = score_candidates(
+        candidates,
+        config,
+        evaluator,
+        also,
+        folds=folds,
+        chosen=chosen,
+        usable=~(before.gated | run.gated),
+    )
+    best = chosen_of(scored)
+    final = config if best is None else best.config
+    after = before if best is None else _finished(evaluator.run(final))
+    found = [
+        _with_interval(item, config, item.searched(item.read(current)), sigma)
+        for item, sigma in zip(chosen, searched.maximum.sigma, strict=True)
+    ]
+    if searched.match.found:
+        level = MATCH.searched(searched.match.pixels)
+        found.append(_with_interval(MATCH, config, level, searched.match.sigma / searched.match.pixels))
+    return Calibration(
+        config=final,
+        parameters=found,
+        bias=bias.value[-1],
+        bias_sigma=bias.sigma[-1],
+        shared=shared,
+        standstill=rest,
+        before=before,
+        after=after,
+        candidates=scored,
+        best=best,
+    )
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """Where the search ended."""
+
+    config: Config
+    run: Run
+    maximum: Maximum
+    match: MatchingBias
+
+
+def _search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporter: _Reporter) -> _Searched:
+    """Choose observations by the gate, maximise, choose again, until both have converged."""
+    current, match = start, matching_bias(start, evaluator)
     for choice in range(1, _CHOICES + 1):
         current = MATCH.write(current, match.pixels)
         run = _finished(evaluator.run(current))
         usable = ~run.gated
-        start = current
+        begin = current
 
-        def evaluate(points: list[Array], start: Config = start, usable: BoolArray = usable) -> list[Array]:
-            return evaluator.log_likelihoods([_at(start, chosen, point) for point in points], usable=usable)
+        def evaluate(points: list[Array], begin: Config = begin, usable: BoolArray = usable) -> list[Array]:
+            return evaluator.log_likelihoods([_at(begin, chosen, point) for point in points], usable=usable)
 
-        def ended(found: Round, start: Config = start, choice: int = choice) -> None:
-            reporter.round(_at(start, chosen, found.point), found, choice=choice)
+        def ended(found: Round, begin: Config = begin, choice: int = choice) -> None:
+            reporter.round(_at(begin, chosen, found.point), found, choice=choice)
 
-        largest = [_LARGEST_LOG if item.logarithmic else _LARGEST_OFFSET_STEPS * item.step for item in chosen]
         maximum = maximise(
             evaluate,
             np.array([item.searched(item.read(current)) for item in chosen]),
             steps=np.array([item.step for item in chosen]),
-            lowest=np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in chosen]),
-            largest=np.array(largest),
+            lowest=lowest_of(chosen),
+            largest=largest_of(chosen),
             on_round=ended,
         )
         current = _at(current, chosen, maximum.point)
@@ -195,60 +298,56 @@ def _calibrate(
         if (changed <= _RESTS * len(usable) and match_rests) or choice == _CHOICES:
             break
         match = again
-    current, run = _levelled(current, evaluator, run, reporter)
-    bias, bias_sigma = _bias(current, evaluator, run)
-    start_sigma = np.hypot(
-        bias_sigma, np.array(config.noise.bias_walk) * np.sqrt(run.stamp[-1] - run.stamp[0])
-    )
-    noise = replace(
-        current.noise,
-        bias_mean=tuple(bias.tolist()),
-        bias_sigma=tuple(np.maximum(start_sigma, 1e-5).tolist()),
-    )
-    final = replace(current, noise=noise)
-    after = _finished(evaluator.run(final))
-    found = [
-        _with_interval(item, config, item.searched(item.read(current)), sigma)
-        for item, sigma in zip(chosen, maximum.sigma, strict=True)
-    ]
-    if match.found:
-        level = MATCH.searched(match.pixels)
-        found.append(_with_interval(MATCH, config, level, match.sigma / match.pixels))
-    return Calibration(final, found, bias, bias_sigma, before, after)
+    return _Searched(current, run, maximum, match)
+
+
+def _with_bias(current: Config, config: Config, rest: Standstill) -> Config:
+    """Config with the prior of the bias of the config from before, but for what a standstill tells.
+
+    What the camera says of a bias is of its own calibration, too, so it becomes no prior.
+    """
+    noise = config.noise
+    told = rest.sigma < np.array(noise.bias_sigma)
+    mean = np.where(told, rest.bias, noise.bias_mean)
+    sigma = np.where(told, np.maximum(rest.sigma, _LEAST_BIAS_SIGMA), noise.bias_sigma)
+    changed = replace(current.noise, bias_mean=tuple(mean.tolist()), bias_sigma=tuple(sigma.tolist()))
+    return replace(current, noise=changed)
 
 
 def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporter) -> tuple[Config, Run]:
-    """Config whose pixel noise is scaled until the NIS per degree of freedom of the gated filter is 1.
+    """Config whose pixel noise is raised until the NIS per degree of freedom of the gated filter is 1.
 
     The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the
     filter that runs with it lets others pass than those, and is overconfident.
     """
     for _ in range(_LEVELLINGS):
         ratio = run.nis_per_dof
-        if abs(ratio - 1.0) < _LEVEL:
+        if ratio - 1.0 < _LEVEL:
             break
         scale = float(np.sqrt(ratio))
-        noise = replace(
-            config.noise,
-            pixel_sigma_px=config.noise.pixel_sigma_px * scale,
-            drift_px=config.noise.drift_px * scale,
-        )
-        config = replace(config, noise=noise)
+        config = _scaled(config, scale)
         run = _finished(evaluator.run(config))
         reporter.say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
     return config, run
 
 
-def _bias(config: Config, evaluator: Evaluator, run: Run) -> tuple[Array, Array]:
-    """Constant bias of the whole sequence and its standard deviation.
+def _scaled(config: Config, scale: float) -> Config:
+    """Config with another pixel noise, white and drift alike."""
+    noise = replace(
+        config.noise,
+        pixel_sigma_px=config.noise.pixel_sigma_px * scale,
+        drift_px=config.noise.drift_px * scale,
+    )
+    return replace(config, noise=noise)
 
-    Without a random walk the filter's last bias is the constant one given all the data: with the prior of the
-    config, the maximum of the same likelihood.
+
+def _steady(config: Config, evaluator: Evaluator, run: Run) -> Run:
+    """Run whose last bias and shared errors are the constant ones given all the data.
+
+    Without a random walk that is the maximum of the same likelihood, with the prior of the config.
     """
     steady = replace(config, noise=replace(config.noise, bias_walk=(0.0,) * 6))
-    last = _finished(evaluator.run(steady, usable=~run.gated))
-    bias = last.states[TWIST_BIAS]
-    return bias.value[-1], bias.sigma[-1]
+    return _finished(evaluator.run(steady, usable=~run.gated))
 
 
 def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam.base.errors import DataError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.base.workers import Workers
 from vislam.comparison.compare import make_problem, pixel_sigma
@@ -13,14 +12,17 @@ from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset
 from vislam.core.estimator import Problem
 from vislam.core.run import Run
-from vislam.core.sequence import Sequence
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
-_OPTIONS = EkfOptions(marginalised_landmarks="filtered", track_errors="states")
-"""The standard filter, without the backward pass: only innovations are wanted."""
+_OPTIONS = EkfOptions(
+    error="invariant", landmarks="anchored_uvd", marginalised_landmarks="filtered", track_errors="states"
+)
+"""The consistent filter, without the backward pass: only innovations are wanted."""
+_SMOOTHED = EkfOptions(error="invariant", landmarks="anchored_uvd", smoothed=True)
+"""As ``eks`` ships."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,12 @@ class Evaluator:
         """Run the filter; with ``usable (n,)`` given, that choice of observations replaces the gate."""
         return _filter(self._moved(config), config, usable)
 
+    def smoothed(self, config: Config) -> tuple[Dataset, Run]:
+        """Run the smoothed filter, with its gate; the dataset is as the config has it."""
+        dataset = self._moved(config)
+        solver = EkfEstimator(_problem(config, dataset), _SMOOTHED)
+        return dataset, _run(solver, dataset, config, None)
+
     def matching_biases(self, config: Config) -> tuple[IntArray, Array, Array]:
         """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
         dataset = self._moved(config)
@@ -66,15 +74,11 @@ class Evaluator:
             sequence = Clock(offset=steps.clock.offset).apply(sequence)
         if steps.disparity_offset is not None and steps.disparity_offset != old.disparity_offset:
             applied = 0.0 if old.disparity_offset is None else old.disparity_offset.pixels
-            sequence = DisparityOffset(pixels=steps.disparity_offset.pixels - applied).apply(sequence)
+            moved = DisparityOffset(pixels=steps.disparity_offset.pixels - applied)
+            held = self.dataset.held_out
+            held = None if held is None else moved.apply(held)
+            return replace(self.dataset, sequence=moved.apply(sequence), held_out=held)
         return replace(self.dataset, sequence=sequence)
-
-
-def first_frames(sequence: Sequence, frames: int) -> Sequence:
-    """Return the first frames of a sequence; DataError if these are fewer than two."""
-    if frames < 2:
-        raise DataError(f"{sequence.name}: the first {frames} frames are too few, at least 2 are needed")
-    return sequence.first(frames)
 
 
 def _filter(dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from vislam.base.files import check_writable, write_text
+from vislam.base.legible import one_line
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
 
@@ -26,9 +27,10 @@ class Output:
         self._write(f"# calibration unfinished: {where}\n{configuration.dump(config)}")
         self.kept = where
 
-    def finish(self, config: Config) -> None:
-        """Write the calibrated config."""
-        self._write(configuration.dump(config))
+    def finish(self, config: Config, *, rejected: str = "") -> None:
+        """Write the calibrated config, or the one from before with the reason why it is that."""
+        reason = f"# as before the calibration: {one_line(rejected)}\n" if rejected else ""
+        self._write(f"{reason}{configuration.dump(config)}")
 
     def _write(self, text: str) -> None:
         write_text(self.path, text)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.comparison.config import Config, NoiseConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
@@ -161,3 +162,16 @@ def _height_walk() -> Parameter:
 _HEIGHT_WALK = _height_walk()
 MATCH = _pixel("matching_bias_px", lowest=0.02)
 """The stereo-matching bias, not searched but read off the filter (``vislam.calibration.match``)."""
+
+
+_LARGEST_LOG, _LARGEST_STEPS = 0.7, 10.0
+
+
+def lowest_of(items: list[Parameter]) -> Array:
+    """Bounds ``(p,)`` in the searched scale; minus infinity for an offset."""
+    return np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in items])
+
+
+def largest_of(items: list[Parameter]) -> Array:
+    """Largest move ``(p,)`` of each at once, in the searched scale."""
+    return np.array([_LARGEST_LOG if item.logarithmic else _LARGEST_STEPS * item.step for item in items])

@@ -54,12 +54,18 @@ class Maximum:
         Standard deviation; infinite for parameters at their lowest value.
     log_likelihood : float
     rounds : int
+    scores : (T, p)
+        Score of each frame where the last round began.
+    information : (p, p)
+        There, of all frames.
     """
 
     point: Array
     sigma: Array
     log_likelihood: float
     rounds: int
+    scores: Array
+    information: Array
 
 
 def maximise(
@@ -115,7 +121,8 @@ def maximise(
         on_round(Round(rounds, point, here, max(gain, 0.0)))
         if rests and dropped is None:
             break
-    return Maximum(point, _sigma(scores, curvature, free), here, rounds)
+    sigma = _sigma(scores, curvature, free)
+    return Maximum(point, sigma, here, rounds, scores, _information(scores, curvature))
 
 
 def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:

@@ -1,8 +1,11 @@
 """``python -m vislam.calibrate``: noise, biases and clock from the data alone; writes a config.
 
 The reference of a recording is never looked at. The best config so far is written after each round and says
-that it is unfinished. Exit codes: 0 done, 1 the filter did not finish or workers were lost, 2 bad config or
-data, 130 interrupted.
+that it is unfinished. In the end, what was found is scored on parts of the recording that it was not fitted
+to; where it predicts worse there, the config from before is written, with a line that says so.
+
+Exit codes: 0 done, 1 the filter did not finish or workers were lost, 2 bad config or data, 3 the config from
+before was written, 130 interrupted.
 """
 
 import argparse
@@ -12,8 +15,6 @@ from pathlib import Path
 
 from vislam.base.errors import ConfigError
 from vislam.cli.command import Parser, add_config_options, answer, load_config
-
-_BIAS_NAMES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +32,19 @@ def _parser() -> Parser:
     )
     add("--inertial", action="store_true", help="estimate the noise of gyro and forward velocity too")
     add("--disparity-offset", action="store_true", help="estimate a constant error of the disparities too")
-    add("--keep-bias-prior", action="store_true", help="leave the prior of the bias as it is in the config")
+    add(
+        "--keep-bias-prior",
+        action="store_true",
+        help="leave the prior of the bias as it is, whatever stops tell",
+    )
+    add(
+        "--also",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="score what is found on another recording, too, of the same rig and repairs; can be repeated",
+    )
     add("--frames", type=int, help="use the first so many frames only")
     add("--processes", type=int, default=2, help="filters run side by side (default: 2)")
     return parser
@@ -46,29 +59,34 @@ def _calibrate(options: argparse.Namespace) -> int:
     from dataclasses import replace  # noqa: PLC0415
 
     from vislam.calibration import calibrate, parameters  # noqa: PLC0415
-    from vislam.calibration.likelihood import first_frames  # noqa: PLC0415
     from vislam.calibration.output import Output  # noqa: PLC0415
+    from vislam.calibration.recordings import first_frames_of, other_recording  # noqa: PLC0415
+    from vislam.calibration.tables import tables  # noqa: PLC0415
     from vislam.cli.console import Terminal  # noqa: PLC0415
     from vislam.comparison.open import open_dataset  # noqa: PLC0415
 
     terminal, out = Terminal(), Output(options.out)
-    dataset = open_dataset(
-        config.data,
-        seed=config.seed,
-        data_dir=options.data_dir,
-        config_dir=options.config.parent,
-        allow_substitute=not options.no_substitute,
-        held_out=config.held_out,
-    )
-    if dataset.sequence.synthetic:
-        terminal.note(dataset.notes[0])
-    if options.frames is not None:
-        dataset = replace(dataset, sequence=first_frames(dataset.sequence, options.frames))
+    datasets = [
+        open_dataset(
+            data,
+            seed=config.seed,
+            data_dir=options.data_dir,
+            config_dir=options.config.parent,
+            allow_substitute=not options.no_substitute,
+            held_out=config.held_out,
+        )
+        for data in (config.data, *(other_recording(config.data, str(file)) for file in options.also))
+    ]
+    if datasets[0].sequence.synthetic:
+        terminal.note(datasets[0].notes[0])
+    datasets = [replace(first_frames_of(one, options.frames), reference=None) for one in datasets]
     try:
         result = calibrate(
             config,
-            replace(dataset, reference=None),
+            datasets[0],
             parameters(config, inertial=options.inertial, disparity_offset=options.disparity_offset),
+            also=datasets[1:],
+            keep_bias_prior=options.keep_bias_prior,
             processes=options.processes,
             say=terminal.note,
             keep=out.keep,
@@ -77,48 +95,16 @@ def _calibrate(options: argparse.Namespace) -> int:
         if out.kept:
             terminal.note(f"best config so far ({out.kept}): {out.path}")
         raise
-    terminal.rows(
-        ["parameter", "before", "calibrated", "95 % interval", "unit"],
-        [
-            [
-                item.parameter.name,
-                f"{item.before:.4g}",
-                f"{item.value:.4g}" if item.needed else f"below {item.value:.2g}",
-                f"{item.low:.4g} to {item.high:.4g}" if item.needed else "not needed by the data",
-                item.parameter.unit,
-            ]
-            for item in result.parameters
-        ]
-        + [
-            [
-                f"bias, {name}",
-                f"{old:.4g}",
-                f"{new:.4g}",
-                f"{new - 1.96 * sigma:.4g} to {new + 1.96 * sigma:.4g}",
-                unit,
-            ]
-            for name, old, new, sigma, unit in zip(
-                _BIAS_NAMES,
-                config.noise.bias_mean,
-                result.bias,
-                result.bias_sigma,
-                ["rad/s"] * 3 + ["m/s"] * 3,
-                strict=True,
-            )
-        ],
-        title=f"vislam calibration: {dataset.sequence.name}",
-    )
-    before, after = result.before.nis_per_dof, result.after.nis_per_dof
-    terminal.note(f"NIS per degree of freedom: {before:.3f} before, {after:.3f} calibrated")
-    written = result.config
-    if options.keep_bias_prior:
-        prior = config.noise
-        written = replace(
-            written, noise=replace(written.noise, bias_mean=prior.bias_mean, bias_sigma=prior.bias_sigma)
-        )
-    out.finish(written)
+    for table in tables(result, config, name=datasets[0].sequence.name):
+        terminal.rows(table.header, table.rows, title=table.title)
+    for one in result.candidates:
+        for objection in one.objections:
+            terminal.note(f"{one.name}: {objection}")
+    out.finish(result.config, rejected=result.rejected)
+    if result.rejected:
+        terminal.note("what was found predicts worse than the config from before, which is written again")
     terminal.note(f"config: {options.out}")
-    return 0
+    return 3 if result.rejected else 0
 
 
 if __name__ == "__main__":
