@@ -327,6 +327,47 @@ def read_or_said(path):
     return ""
 
 
+def test_the_calibration_of_a_folder_is_one_of_a_bag(short, of_folder, tmp_path):
+    from tests.frontend.studio import write_asl
+
+    path = write_bag(tmp_path, "mcap", short)
+    next(tmp_path.glob("camchain*")).unlink()
+    folder = write_asl(tmp_path / "folder", short)
+    found = track(open_images(path, Choice(calibration=folder)), CONFIG, progress=Silent())
+    same(found, of_folder, to=1e-9)
+
+
+def test_folder_and_bag_count_alike(short, tmp_path):
+    """A frame twice, two out of order: one mechanism for all readers."""
+    from dataclasses import replace
+
+    from tests.frontend.studio import write_asl
+
+    order = [0, 2, 1, 3, 3]
+    made = replace(short, pose=short.pose[order], pictures=[short.pictures[k] for k in order])
+    stamps = [100.0, 100.2, 100.1, 100.3, 100.3]
+    type(made).stamp, before = property(lambda _: np.array(stamps)), type(made).stamp
+    try:
+        folder = open_images(write_asl(tmp_path / "folder", made))
+        bag = open_images(write_bag(tmp_path, "bag", made, arrival=range(5)))
+    finally:
+        type(made).stamp = before
+    for name in ("images_listed", "images_duplicate", "images_out_of_order_left", "images_unpaired", "pairs"):
+        assert bag.counts[name] == folder.counts[name]
+    assert folder.counts["images_duplicate"] == 2
+    assert folder.counts["images_out_of_order_left"] == 1
+    assert np.array_equal(bag.stamp, folder.stamp)
+
+
+def test_a_folder_with_images_and_a_bag_is_one_of_images(short, bags, tmp_path):
+    from tests.frontend.studio import write_asl
+
+    folder = write_asl(tmp_path, short)
+    (folder / "run.bag").write_bytes(bags["bag"].read_bytes())
+    (folder / "metadata.yaml").write_text("of: something else")
+    assert open_images(folder).left.place.endswith("cam0/data")
+
+
 def test_what_is_no_bag_is_one_line(tmp_path):
     for name in ("a.bag", "b.mcap", "c.db3"):
         (tmp_path / name).write_bytes(b"nothing of the kind")

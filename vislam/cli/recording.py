@@ -27,8 +27,9 @@ def add_choice_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--calibration",
         type=Path,
-        metavar="FILE",
-        help="camchain file of Kalibr, in place of one beside a bag or of its CameraInfo",
+        metavar="PATH",
+        help="camchain file of Kalibr, or folder with cam0/sensor.yaml and cam1/sensor.yaml (EuRoC), in "
+        "place of one beside a bag or of its CameraInfo",
     )
 
 

@@ -26,10 +26,11 @@ _REFERENCES = (
 
 def is_asl(folder: Path) -> bool:
     """Whether a folder, or its ``mav0``, is of this layout."""
-    return (_mav0(folder) / "cam0").is_dir()
+    return (mav0_of(folder) / "cam0").is_dir()
 
 
-def _mav0(folder: Path) -> Path:
+def mav0_of(folder: Path) -> Path:
+    """The folder ``mav0`` in one, or that itself."""
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
@@ -46,9 +47,9 @@ def load_asl(folder: Path) -> ImageRecording:
     DataError
         If a camera, its calibration or its list is missing or cannot be right, or no pair is left.
     """
-    mav0 = _mav0(folder)
+    mav0 = mav0_of(folder)
     left, right, counts = paired(_listed(mav0 / "cam0"), _listed(mav0 / "cam1"), where=mav0)
-    chain = _cameras(mav0)
+    chain = cameras_of(mav0)
     pair = chain.rectified(mav0)
     inertia, dropped = _inertia(mav0 / "imu0", chain) if (mav0 / "imu0").is_dir() else (None, {})
     return ImageRecording(
@@ -82,7 +83,8 @@ def _listed(folder: Path) -> Listed:
     return Listed(np.array(stamps, dtype=np.int64), ImageFiles(tuple(paths)))
 
 
-def _cameras(mav0: Path) -> Camchain:
+def cameras_of(mav0: Path) -> Camchain:
+    """Calibration of ``cam0`` and ``cam1`` of a folder; DataError if there is none, or it cannot be right."""
     paths = [mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")]
     if all(path.is_file() for path in paths):
         body = mav0 / "imu0" / "sensor.yaml"

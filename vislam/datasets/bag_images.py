@@ -12,6 +12,7 @@ import numpy as np
 from vislam.base.errors import DataError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.images import Content, ImageRecording, Inertia, RawImage
+from vislam.datasets.asl import cameras_of, mav0_of
 from vislam.datasets.bag_calibration import calibration_of
 from vislam.datasets.bag_topics import COMPRESSED, Choice, StereoTopics, choose_topics
 from vislam.datasets.bags import Bag, opened_bag
@@ -123,7 +124,7 @@ def load_bag(path: Path, choice: Choice) -> ImageRecording:
         right, or no pair is left.
     """
     file = calibration_file(path, choice)
-    chain = None if file is None else read_camchain(file)
+    chain = None if file is None else _read_calibration(file)
     with opened_bag(path) as bag:
         topics = choose_topics(bag, choice, calibrated=None if chain is None else chain.topics)
         if chain is not None and chain.topics == (topics.right, topics.left):
@@ -164,6 +165,11 @@ def calibration_file(path: Path, choice: Choice) -> Path | None:
             f"{path}: more than one calibration lies beside it: {told}; choose with --calibration"
         )
     return found[0] if found else None
+
+
+def _read_calibration(path: Path) -> Camchain:
+    """A ``camchain`` file, or the ``sensor.yaml`` of both cameras of a folder, as EuRoC has them."""
+    return cameras_of(mav0_of(path)) if path.is_dir() else read_camchain(path)
 
 
 def _scanned(bag: Bag, topics: StereoTopics) -> tuple[dict[str, _Stamps], Array, Counter[str]]:

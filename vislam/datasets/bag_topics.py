@@ -30,7 +30,7 @@ class Choice:
     imu : str or None
         Topic of the inertial sensor of a bag; "none" for none.
     calibration : Path or None
-        A Kalibr ``camchain`` file.
+        A Kalibr ``camchain`` file, or a folder with ``cam0/sensor.yaml`` and ``cam1/sensor.yaml``.
     """
 
     left: str | None = None

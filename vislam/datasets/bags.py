@@ -11,7 +11,7 @@ from typing import Any
 from vislam.base.errors import DataError, first_line
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
-_METADATA = "metadata.yaml"
+_METADATA, _DESCRIBES, _HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
 _LITTLE_ENDIAN = 1
 _NANO = 1_000_000_000
 _REMEDY = "recover it (rosbag reindex, ros2 bag reindex, mcap recover) or export it again"
@@ -90,8 +90,17 @@ class Bag:
 def is_bag(path: Path) -> bool:
     """Whether a path is named as a bag is, or is the folder of one."""
     if path.is_dir():
-        return (path / _METADATA).is_file() or len(_files(path)) == 1
+        return _is_described(path) or len(_files(path)) == 1
     return path.suffix in _SUFFIXES
+
+
+def _is_described(folder: Path) -> bool:
+    """Whether a folder has the description that ROS 2 writes into that of a bag."""
+    try:
+        with (folder / _METADATA).open("rb") as file:
+            return _DESCRIBES in file.read(_HEAD)
+    except OSError:
+        return False
 
 
 def _files(folder: Path) -> list[Path]:
@@ -138,6 +147,6 @@ def opened_bag(path: Path) -> Iterator[Bag]:
 def _place(path: Path) -> Path:
     """What the package is to open: the folder of a file that has one, or the only file of a folder."""
     if path.is_dir():
-        return path if (path / _METADATA).is_file() else _files(path)[0]
-    in_folder = path.suffix != ".bag" and (path.parent / _METADATA).is_file()
+        return path if _is_described(path) or not _files(path) else _files(path)[0]
+    in_folder = path.suffix != ".bag" and _is_described(path.parent)
     return path.parent if in_folder else path

@@ -18,9 +18,12 @@ _LISTS = (".yaml", ".yml")
 
 def is_images(path: Path) -> bool:
     """Whether a path is a recording of images in a layout that is known."""
-    if is_bag(path) or path.suffix in _LISTS:
-        return True
-    return path.is_dir() and (is_asl(path) or is_kitti_odometry(path) or drive_in(path) is not None)
+    return is_bag(path) or (_in_folder(path) if path.is_dir() else path.suffix in _LISTS)
+
+
+def _in_folder(folder: Path) -> bool:
+    """Whether a folder has images that are files; a bag may lie beside them."""
+    return is_asl(folder) or is_kitti_odometry(folder) or drive_in(folder) is not None
 
 
 def open_images(path: Path, choice: Choice = _ASK) -> ImageRecording:
@@ -38,7 +41,7 @@ def open_images(path: Path, choice: Choice = _ASK) -> ImageRecording:
     DataError
         If it is not there, in no layout that is known, or what belongs to the layout is missing or wrong.
     """
-    if is_bag(path):
+    if is_bag(path) and not (path.is_dir() and _in_folder(path)):
         return load_bag(path, choice)
     if choice != _ASK:
         raise DataError(f"{path}: --left, --right, --imu and --calibration are of bags, and this is none")
