@@ -178,8 +178,8 @@ def test_a_step_that_cholesky_refuses_is_solved_with_qr_and_is_no_rescue(name, s
     assert result.complete
     assert result.log.counts["recoveries"] == 0
     assert result.log.counts["cholesky_failures"] == 1
-    assert result.log.counts["steps_by_qr"] == 2
-    assert result.log.events == (f"frame {AT}: planted to Cholesky; QR for 2 steps",)
+    assert result.log.counts["steps_by_qr"] == 1
+    assert result.log.events == (f"frame {AT}: planted to Cholesky; QR for this step",)
     assert estimator._solver.factorization == "cholesky"
     check_equal(result, plain(name, "qr"))
 
@@ -188,7 +188,7 @@ def test_a_step_that_cholesky_refuses_is_solved_with_qr_and_is_no_rescue(name, s
 def test_what_cholesky_refuses_at_every_frame_is_built_anew_ever_more_seldom(
     name, simulated, plain, monkeypatch
 ):
-    """From frame 5 on: refused at 5, in going back at 6, 8, 12 and 20, and that of 36 never comes."""
+    """From frame 5 on: refused at 5, in going back at 5, 6, 8, 12 and 20, and that of 36 never comes."""
     start, update, built = KIND[name].__init__, KIND[name].update, []
 
     def noted(self, options, parameters):
@@ -207,12 +207,32 @@ def test_what_cholesky_refuses_at_every_frame_is_built_anew_ever_more_seldom(
     result, estimator = go(name, simulated)
     monkeypatch.undo()
     assert result.complete
-    assert built == ["cholesky", "qr", *["cholesky"] * 4]
+    assert built == ["cholesky", "qr", *["cholesky"] * 5]
     assert result.log.counts["recoveries"] == 0
-    assert result.log.counts["cholesky_failures"] == 5
+    assert result.log.counts["cholesky_failures"] == 6
     assert result.log.counts["steps_by_qr"] == FRAMES - 5
-    assert result.log.events == ("frame 5: planted to Cholesky; QR for 2 steps",)
+    assert result.log.events == ("frame 5: planted to Cholesky; QR for this step",)
     assert estimator._solver.factorization == "qr"
+    check_equal(result, plain(name, "qr"))
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_refusals_far_from_each_other_cost_one_step_with_qr_each(name, simulated, plain, monkeypatch):
+    update, refused = KIND[name].update, []
+
+    def fails(self, graph, values, *, newest, **rest):
+        slots = update(self, graph, values, newest=newest, **rest)
+        if frame_of(newest) in (8, 25) and frame_of(newest) not in refused:
+            refused.append(frame_of(newest))
+            raise IndeterminateError("planted")
+        return slots
+
+    monkeypatch.setattr(KIND[name], "update", fails)
+    result, estimator = go(name, simulated)
+    monkeypatch.undo()
+    assert refused == [8, 25]
+    assert result.log.counts["cholesky_failures"] == result.log.counts["steps_by_qr"] == 2
+    assert estimator._solver.factorization == "cholesky"
     check_equal(result, plain(name, "qr"))
 
 

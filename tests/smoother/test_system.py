@@ -26,7 +26,6 @@ CASES = {
 MORE = {
     "climb": ClimbConfig(walk=0.02),
     "acceleration_density": SMOOTH,
-    "clock_sigma": 0.01,
     "velocity_direction_sigma": 0.02,
 }
 

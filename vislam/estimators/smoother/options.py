@@ -31,8 +31,8 @@ class SmootherOptions:
     """Old variables whose solution changes by less than this are not updated until the end [rad, m]."""
     factorization: Literal["qr", "cholesky", "auto"] = "auto"
     """How cliques are eliminated. GTSAM's Cholesky takes a half to an eighth of the time, and fails for a
-    clique with a pivot below 1e-7 of its diagonal; ``auto`` solves such a step with QR and then returns to
-    Cholesky."""
+    clique with a pivot below 1e-7 of its diagonal; ``auto`` is Cholesky, and solves a step for which it
+    fails, and no other, with QR."""
     initialisation_snr: Positive = 5.0
     """A landmark is initialised when its disparity is this many standard deviations away from zero."""
     min_disparity_px: Positive = 1.3

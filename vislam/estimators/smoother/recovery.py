@@ -17,6 +17,8 @@ from vislam.models import StereoRig
 
 _MOST_SUSPECTS = 20
 """A recovery that has rejected this many landmarks looks for no more of those that errors name."""
+_LULL = 10
+"""Steps without QR after which a failure has nothing to do with the one before."""
 
 
 @dataclass
@@ -51,11 +53,11 @@ class Recovery:
     Where Cholesky has failed, first with QR; then without the landmarks that lie where they cannot or that
     the error names, or that of the next try; then without any in view, and from the causal poses.
 
-    The next step is one with QR as well, and after it the solver goes back to Cholesky, or stays with QR if
-    that refuses. Either way costs a solution of the whole graph, as much as many steps, and what was rejected
-    once is mostly refused again, as drift only grows. So QR stays for twice as many steps after each refusal:
-    a run of n steps has at most log2(n) + 1 of them, and a graph that Cholesky always fails for takes no
-    longer than with QR but for these.
+    QR serves the step for which Cholesky failed; with the next the solver is back to Cholesky. Each of the
+    two costs a solution of the whole graph, as much as many steps. So where the return fails, too, or
+    Cholesky fails again within a few steps, QR stays, for twice as many steps each time: a graph for which
+    Cholesky always fails has it tried log2(n) + 1 times in n steps, and takes no longer than with QR but for
+    these.
 
     Attributes
     ----------
@@ -73,8 +75,9 @@ class Recovery:
         self._rig, self._options, self._solver = rig, options, solver
         self.recoveries = self.refusals = self.by_qr = 0
         self.events: list[str] = []
-        # Steps with QR still to come before Cholesky is tried again.
-        self._wait = 0
+        # Steps with QR beyond the one that was refused, when it was last; and how many of them are to come.
+        self._patience = self._wait = 0
+        self._last_refusal: int | None = None
 
     def repeat(self, frame: Frame, error: IndeterminateError) -> None:
         """Repeat the step to a frame.
@@ -120,24 +123,28 @@ class Recovery:
             solver.rebuild(frame, left.factors(), left.linearization_point(), {})
         except IndeterminateError:
             solver.engine = left
-            self._refused()
+            self._refused(frame)
 
     def _by_qr(self, frame: Frame, failure: _Failure) -> bool:
         """Switch to QR, where that has not been done and is allowed."""
         solver = self._solver
         if self._options.factorization != "auto" or solver.factorization != "cholesky":
             return False
-        self._refused()
-        event = f"frame {frame.k}: {failure.error} to Cholesky; QR for {self._wait + 1} steps"
+        self._refused(frame)
+        steps = "this step" if self._wait == 0 else f"{self._wait + 1} steps"
+        event = f"frame {frame.k}: {failure.error} to Cholesky; QR for {steps}"
         if not self._goes(frame, failure, {}):
             return False
         self.events.append(event)
         return True
 
-    def _refused(self) -> None:
-        """Take QR for the steps to come, for twice as many as after the last refusal."""
+    def _refused(self, frame: Frame) -> None:
+        """Take QR for the steps to come, for twice as many as after the last refusal if that is recent."""
+        last, self._last_refusal = self._last_refusal, frame.k
+        recent = last is not None and frame.k - last <= self._patience + _LULL
+        self._patience = max(1, 2 * self._patience) if recent else 0
         self._solver.factorization = "qr"
-        self._wait = 2**self.refusals
+        self._wait = self._patience
         self.refusals += 1
 
     def _ways(self, failure: _Failure, gone: list[Track]) -> Iterator[_Way]:
