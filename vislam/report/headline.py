@@ -51,7 +51,7 @@ def _of_block(block: Block, reference: Reference | None) -> str:
 def _compared(block: Block, ranked: Sequence[tuple[float, str]], digits: int) -> str:
     """The best and who agrees with it, who is worse, and who is not told apart from it."""
     found = standings(block, ranked)
-    alike = [one for one in found if one.word in ("best", "agrees")]
+    alike = [one for one in found if one.word in ("lowest", "agrees")]
     unclear = [_unclear(one, digits) for one in found if one.word == "not told apart"]
     parts = [_best(alike, digits, alone=not unclear)]
     for one in found:

@@ -9,7 +9,7 @@ from vislam.report.block import Block
 
 _ALIKE = 0.2
 """Share of the best error within which the interval of a difference lies if two runs agree."""
-Word = Literal["best", "agrees", "worse", "not told apart"]
+Word = Literal["alone", "lowest", "agrees", "worse", "not told apart"]
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,14 @@ class Standing:
 
 def standings(block: Block, ranked: Sequence[tuple[float, str]]) -> list[Standing]:
     """Those that are ranked, the best first."""
+    if len(ranked) == 1:
+        return [Standing(name, value, "alone", None) for value, name in ranked]
     return [_standing(block, value, name, *ranked[0]) for value, name in ranked]
 
 
 def _standing(block: Block, value: float, name: str, least: float, best: str) -> Standing:
     if name == best:
-        return Standing(name, value, "best", None)
+        return Standing(name, value, "lowest", None)
     found = block.error(name, best)
     word: Word = "not told apart"
     if found is not None and found.real and _outlasts(block, name, best):

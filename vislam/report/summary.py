@@ -17,7 +17,7 @@ def summary_table(blocks: Sequence[Block], reference: Reference | None) -> Table
     error = METRICS["held_out_median" if reference is None else headline(reference)]
     header = ["estimator", "estimate", error.label]
     if reference is not None:
-        header += ["against the best [m]", METRICS["held_out_median"].label]
+        header += ["against the lowest [m]", METRICS["held_out_median"].label]
     header += ["estimated sigmas", "within the 90 % region", "mean step [ms]", METRICS["total_time_s"].label]
     return Table(header, [row for block in blocks for row in _rows(block, error.key, reference)])
 
