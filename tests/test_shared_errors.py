@@ -25,7 +25,12 @@ def test_nothing_but_the_parameter_is_another(short, name, index):
         "clock": other.clock_offset != sequence.clock_offset,
         "twist": not np.array_equal(other.twist, sequence.twist),
     }
-    known = {"disparity_offset": "pixels", "clock": "clock", "velocity_direction": "twist"}
+    known = {
+        "disparity_offset": "pixels",
+        "tracker_bias": "pixels",
+        "clock": "clock",
+        "velocity_direction": "twist",
+    }
     where = known.get(name, "twist" if name == "rate_direction" else "rig")
     assert [part for part, is_so in changed.items() if is_so] == [where]
     # There and back.
@@ -73,6 +78,15 @@ def test_roll_and_pitch_rate_are_off_in_proportion_to_the_yaw_rate(short):
     other = moved(sequence, "rate_direction", index=1, amount=0.02)
     assert np.allclose(sequence.twist[:, 1] - other.twist[:, 1], 0.02 * sequence.twist[:, 2])
     assert np.array_equal(np.delete(other.twist, 1, axis=1), np.delete(sequence.twist, 1, axis=1))
+
+
+def test_a_bias_of_the_tracker_grows_with_the_age_of_a_track_and_leaves_disparities(short):
+    sequence = short.sequence
+    for index, (left, right) in enumerate(((0, 2), (1, 3))):
+        away = sequence.pixels - moved(sequence, "tracker_bias", index=index, amount=0.1).pixels
+        assert np.allclose(away[:, left], 0.1 * sequence.age())
+        assert np.allclose(away[:, left], away[:, right])
+        assert np.abs(np.delete(away, [left, right], axis=1)).max() == 0.0
 
 
 def test_components_have_names():

@@ -370,6 +370,8 @@ class ConsiderConfig:
     rate_direction: NonNegative | Two = 0.0
     """Direction of the recorded turn rate in the body: what roll and pitch rate are off by in proportion to
     the yaw rate [rad]. Rates that an instrument gives about level axes are off by the slope of the road."""
+    tracker_bias: NonNegative | Two = 0.0
+    """Column and row by which all tracks move away from their points each frame [px/frame]."""
 
     def components(self) -> Iterator[tuple[str, int, float]]:
         """Parameter, index and standard deviation of each component that is not 0."""

@@ -77,6 +77,12 @@ def _rate_direction(sequence: Sequence, direction: Array) -> Sequence:
     return replace(sequence, twist=twist)
 
 
+def _tracker_bias(sequence: Sequence, bias: Array) -> Sequence:
+    """Take all tracks for moved away from their points by so much a frame, as long as they are followed."""
+    away = sequence.age()[:, None] * bias
+    return replace(sequence, pixels=sequence.pixels - np.hstack([away, away]))
+
+
 PARAMETERS: Mapping[str, Parameter] = {
     CAMERA_ROTATION: Parameter(("x", "y", "z"), UNITS[CAMERA_ROTATION], _of_rig(CAMERA_ROTATION)),
     DISPARITY_OFFSET: Parameter(("",), UNITS[DISPARITY_OFFSET], _disparity_offset),
@@ -85,6 +91,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     CLOCK: Parameter(("",), UNITS[CLOCK], _clock),
     VELOCITY_DIRECTION: Parameter(("left", "up"), UNITS[VELOCITY_DIRECTION], _velocity_direction),
     "rate_direction": Parameter(("roll", "pitch"), "rad", _rate_direction),
+    "tracker_bias": Parameter(("column", "row"), "px/frame", _tracker_bias),
 }
 """The parameters by name, those that can be estimated as :mod:`vislam.models.shared_errors` has them; the
 cameras turn about the axes of the body."""
