@@ -84,7 +84,7 @@ def gained(config, dataset, **options):
     options = {"gate": False, "finished": "as_left", "observability": True, **options}
     _, run = ran("ekf", config, dataset, **options)
     assert run.complete
-    return run.innovations.world_gained.sum(axis=0)[2:]
+    return run.innovations.spurious_information.sum(axis=0)[2:]
 
 
 def test_four_directions_stay_unobservable():
@@ -97,7 +97,7 @@ def test_four_directions_stay_unobservable():
             assert np.all(found < 1e-9 * standard), error
     for error in ("first_estimates", "invariant"):
         _, run = ran("msckf", config, dataset, gate=False, error=error)
-        assert np.all(run.innovations.world_gained.sum(axis=0)[2:] < 1e-9 * standard)
+        assert np.all(run.innovations.spurious_information.sum(axis=0)[2:] < 1e-9 * standard)
 
 
 def test_a_velocity_that_is_not_reset_is_seen(monkeypatch):

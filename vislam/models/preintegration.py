@@ -31,6 +31,7 @@ from vislam.models.imu import ImuNoise
 MOTION = slice(0, 9)
 """Where the relative motion stands in the covariance, and behind it the biases."""
 BIASES = slice(9, 15)
+_ONE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -165,40 +166,36 @@ class _Increments:
     @classmethod
     def of(cls, dt: Array, phi: Array, force: Array) -> "_Increments":
         """Of intervals ``(m,)`` with turns ``phi (m, 3)`` and specific forces ``(m, 3)``."""
-        long = dt[:, None, None]
-        # The left Jacobian of SE(3) has that of the rotation, and what its translation changes by with it.
-        left = se3.left_jacobian(np.concatenate([phi, force], axis=1))
-        first, coupling = left[:, :3, :3], left[:, 3:, :3]
-        second = _second(phi)
-        mean_force = _rotated(first, force)
+        long, matrix = dt[:, None, None], so3.hat(phi)
+        square, angle = matrix @ matrix, np.sqrt(np.einsum("mi,mi->m", phi, phi))
+        third = so3.sine_coefficient(angle)[:, None, None]
+        # (a^2 / 2 + cos a - 1) / a^4 by its series, as an interval turns by a fraction of a radian.
+        fourth = (1.0 / 24.0 - angle**2 / 720.0 + angle**4 / 40320.0)[:, None, None]
+        first = _ONE + so3.cosine_coefficient(angle)[:, None, None] * matrix + third * square
+        second = 0.5 * _ONE + third * matrix + fourth * square
+        by_turn = _by_turn(matrix, force)
         return cls(
-            rotation=so3.exp(phi),
-            velocity=dt[:, None] * mean_force,
+            rotation=_ONE + matrix @ first,
+            velocity=dt[:, None] * _rotated(first, force),
             position=dt[:, None] ** 2 * _rotated(second, force),
-            turn_by_rate=long * so3.left_jacobian(-phi),
-            velocity_by_rate=long**2 * (coupling - so3.hat(mean_force) @ first),
-            position_by_rate=long**3 * _second_by_turn(phi, force),
+            turn_by_rate=long * first.transpose(0, 2, 1),
+            velocity_by_rate=long**2 * by_turn[0],
+            position_by_rate=long**3 * by_turn[1],
             velocity_by_force=long * first,
             position_by_force=long**2 * second,
         )
 
 
-def _second(phi: Array) -> Array:
-    """``Gamma_2 = 1/2 + c hat(phi) + d hat(phi)^2``, ``(m, 3, 3)``: c is ``(a - sin a) / a^3``.
+def _by_turn(turn: Array, force: Array) -> tuple[Array, Array]:
+    """Derivatives ``(m, 3, 3)`` of ``Gamma_1(phi) a`` and ``Gamma_2(phi) a`` by phi, to third order in phi.
 
-    And d is ``(a^2/2 + cos a - 1) / a^4``, by its series, as an interval turns by a fraction of a radian.
+    That of ``hat(phi)^k a`` is minus ``D_k = hat(hat(phi)^{k-1} a) + hat(phi) D_{k-1}``.
     """
-    angle = np.linalg.norm(phi, axis=-1)
-    matrix = so3.hat(phi)
-    third = so3.sine_coefficient(angle)[:, None, None]
-    fourth = (1.0 / 24.0 - angle**2 / 720.0 + angle**4 / 40320.0)[:, None, None]
-    return 0.5 * np.eye(3) + third * matrix + fourth * (matrix @ matrix)
-
-
-def _second_by_turn(phi: Array, force: Array) -> Array:
-    """Derivative ``(m, 3, 3)`` of ``Gamma_2(phi) a`` by phi, to second order in phi."""
-    turn, pull = so3.hat(phi), so3.hat(force)
-    return -pull / 6.0 - (so3.hat(np.cross(phi, force)) + turn @ pull) / 24.0
+    pull = so3.hat(force)
+    turned = _rotated(turn, force)
+    twice = so3.hat(turned) + turn @ pull
+    thrice = so3.hat(_rotated(turn, turned)) + turn @ twice
+    return -(pull / 2.0 + twice / 6.0 + thrice / 24.0), -(pull / 6.0 + twice / 24.0 + thrice / 120.0)
 
 
 def _products(rotation: Array) -> Array:
