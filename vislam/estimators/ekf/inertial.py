@@ -27,10 +27,10 @@ from vislam.core.imu import ImuStep
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
 from vislam.geometry import se3, so3
-from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, STATES, VELOCITY
-from vislam.models.odometry import POSE
+from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, IMU_NAV, STATES, VELOCITY
 from vislam.models.preintegration import BIASES, MOTION, Preintegrated, preintegrate
 
+_VELOCITY = slice(6, 9)
 _UNKNOWN = np.square(UNKNOWN_INERTIA)
 
 
@@ -102,26 +102,22 @@ class InertialMotion:
 
 
 def _linear(layout: NavLayout, turn: Array, step: Preintegrated) -> tuple[Array, Array]:
-    """F and Q ``(d, d)`` of a step from the attitude ``turn (3, 3)``."""
-    velocity, gyro, accel = (layout[name] for name in STATES)
-    biases = np.r_[gyro, accel]
+    """F and Q ``(d, d)`` of a step from the attitude ``turn (3, 3)``.
+
+    The blocks stand right behind the pose, in the order of a preintegrated step and its biases.
+    """
     back = step.rotation.T
     # From (theta, p, v) of the step, the latter two in the first body, to the errors of pose and velocity.
-    to_error = np.zeros((9, 9))
-    to_error[:3, :3] = np.eye(3)
+    to_error = np.zeros((IMU_NAV, IMU_NAV))
+    to_error[:3, :3] = to_error[9:12, 9:12] = to_error[12:, 12:] = np.eye(3)
     to_error[3:6, 3:6] = back
-    to_error[6:, 6:] = turn
-    motion = np.r_[POSE, velocity]
+    to_error[6:9, 6:9] = turn
     transition = np.eye(layout.size)
-    transition[:3, :3] = back
+    transition[:3, :3] = transition[3:6, 3:6] = back
     transition[3:6, :3] = -back @ so3.hat(step.position)
-    transition[3:6, 3:6] = back
-    transition[3:6, velocity] = step.time * back @ turn.T
-    transition[velocity, :3] = -turn @ so3.hat(step.velocity)
-    transition[np.ix_(motion, biases)] = to_error @ step.by_bias
+    transition[3:6, _VELOCITY] = step.time * back @ turn.T
+    transition[_VELOCITY, :3] = -turn @ so3.hat(step.velocity)
+    transition[MOTION, BIASES] = to_error[MOTION, MOTION] @ step.by_bias
     noise = np.zeros((layout.size, layout.size))
-    mixed = to_error @ step.cov[MOTION, BIASES]
-    noise[np.ix_(motion, motion)] = to_error @ step.cov[MOTION, MOTION] @ to_error.T
-    noise[np.ix_(motion, biases)], noise[np.ix_(biases, motion)] = mixed, mixed.T
-    noise[np.ix_(biases, biases)] = step.cov[BIASES, BIASES]
+    noise[:IMU_NAV, :IMU_NAV] = to_error @ step.cov @ to_error.T
     return transition, noise
