@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vislam.base.errors import DataError
-from vislam.calibration.likelihood import Evaluator, first_frames
+from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.parameters import MATCH, parameters
+from vislam.calibration.recordings import first_frames_of, other_recording
 from vislam.comparison.config import Config, DataConfig, NoiseConfig, VerticalVelocityConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.sequence import Sequence
@@ -167,7 +168,7 @@ def test_the_likelihood_is_that_of_the_moved_sequence(dataset):
 
 
 def test_the_first_frames_are_those_of_the_whole(dataset):
-    whole, part = dataset.sequence, first_frames(dataset.sequence, 5)
+    whole, part = dataset.sequence, first_frames_of(dataset, 5).sequence
     assert len(part) == 5
     sigma = np.ones((whole.observations, 3))
     for one, other in zip(part.frames(sigma[: part.observations]), whole.frames(sigma), strict=False):
@@ -180,13 +181,26 @@ def test_the_first_frames_are_those_of_the_whole(dataset):
 
 
 def test_more_frames_than_there_are_is_all_of_them(dataset):
-    assert same(first_frames(dataset.sequence, 1000), dataset.sequence)
+    assert same(first_frames_of(dataset, 1000).sequence, dataset.sequence)
+    assert first_frames_of(dataset, None) is dataset
+
+
+def test_the_tracks_that_are_held_out_end_with_the_frames(dataset):
+    part = first_frames_of(replace(dataset, held_out=dataset.sequence), 5)
+    assert len(part.held_out) == 5
+
+
+def test_another_recording_is_read_with_the_same_repairs():
+    data = DataConfig(file="one.npz", repair=RepairConfig(clock=Clock(offset=0.04)))
+    other = other_recording(data, "other.npz")
+    assert other.file == "other.npz"
+    assert other.repair == data.repair
 
 
 @pytest.mark.parametrize("frames", [1, 0, -3])
 def test_fewer_than_two_frames_are_no_drive(dataset, frames):
     with pytest.raises(DataError, match="at least 2 are needed"):
-        first_frames(dataset.sequence, frames)
+        first_frames_of(dataset, frames)
 
 
 MOVING = replace(
