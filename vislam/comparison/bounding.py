@@ -12,33 +12,21 @@ from vislam.core.bound import Bound
 from vislam.core.record import Tracks
 from vislam.evaluation.bound import SMALLEST_WALK, BiasPrior, TrueDrive, bound
 from vislam.models.odometry import MotionNoise
+from vislam.models.shared_errors import SIZES, prior_name
 
 _CLOSE = 1e-3
 """Share by which a noise may be told otherwise than it is drawn: rounding in a config."""
 _NONE = {
     "data.simulation": (
-        *(
-            "drift_px",
-            "matching_bias_px",
-            "matching_bias_share",
-            "outlier_probability",
-            "duplication_probability",
-        ),
-        *(
-            "moving_share",
-            "disparity_offset_px",
-            "clock_offset",
-            "navigation_frame_velocity",
-            "redetect_below",
-        ),
-        *("stated_baseline", "camera_rotation", "principal_point_px", "focal_scale", "camera_rotation_sigma"),
-        *("disparity_offset_sigma_px", "principal_point_sigma_px", "focal_scale_sigma", "clock_sigma"),
-        "velocity_direction_sigma",
+        *("drift_px", "matching_bias_px", "matching_bias_share", "outlier_probability"),
+        *("duplication_probability", "moving_share", "disparity_offset_px", "clock_offset"),
+        *("navigation_frame_velocity", "redetect_below", "stated_baseline"),
+        *("camera_rotation", "principal_point_px", "focal_scale", "velocity_direction"),
+        *map(prior_name, SIZES),
     ),
     "noise": (
-        *("drift_px", "matching_bias_px", "clock_sigma", "disparity_offset_sigma_px", "vertical_velocity"),
-        *("acceleration_density", "camera_rotation_sigma", "principal_point_sigma_px", "focal_scale_sigma"),
-        "velocity_direction_sigma",
+        *("drift_px", "matching_bias_px", "vertical_velocity", "acceleration_density"),
+        *map(prior_name, SIZES),
     ),
 }
 """What a sequence with a bound has none of, by section."""
@@ -92,7 +80,8 @@ def _unlike(config: Config) -> Iterator[tuple[str, str, str]]:
         return
     for section, of in (("data.simulation", drive), ("noise", noise)):
         for name in _NONE[section]:
-            if value := getattr(of, name):
+            value = getattr(of, name)
+            if np.any(value if isinstance(value, tuple) else bool(value)):
                 yield f"{section}.{name}", "none", str(value)
     if drive.inertial_noise != "step":
         yield "data.simulation.inertial_noise", "step", drive.inertial_noise
