@@ -8,7 +8,7 @@ import pytest
 
 from tests.smoother.drives import BUILD, drive
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import ClimbConfig, KernelConfig
+from vislam.comparison.config import KernelConfig, VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import batch
@@ -24,7 +24,7 @@ CASES = {
     "kernel": {"outlier_probability": 0.05},
 }
 MORE = {
-    "climb": ClimbConfig(walk=0.02),
+    "vertical_velocity": VerticalVelocityConfig(walk=0.02),
     "acceleration_density": SMOOTH,
     "velocity_direction_sigma": 0.02,
 }
