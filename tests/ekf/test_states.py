@@ -145,8 +145,8 @@ def test_the_vertical_velocity_needs_to_be_there(short: Dataset, short_config: C
 
 def test_who_cannot_take_the_same_information_says_so(short: Dataset, short_config: Config):
     config = replace(short_config, noise=replace(short_config.noise, disparity_offset_sigma_px=0.1))
-    with pytest.raises(ConfigError, match=r"isam2: .*noise\.disparity_offset_sigma_px to 0"):
-        find("isam2")(make_problem(config, short), {})
+    with pytest.raises(ConfigError, match=r"isam2_between: .*noise\.disparity_offset_sigma_px to 0"):
+        find("isam2_between")(make_problem(config, short), {})
 
 
 def test_the_kernel_bears_outliers_that_nothing_gates(short_config: Config):

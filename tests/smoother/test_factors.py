@@ -8,7 +8,7 @@ from tests.smoother.drives import RIG
 from vislam.core.estimator import HEIGHT_SIGMA, Problem, VerticalVelocityNoise
 from vislam.core.frame import Frame, OdometryStep, StereoFrame
 from vislam.estimators.smoother.factors import StereoFactors
-from vislam.estimators.smoother.keys import CLOCK, H, V, W, X, landmark
+from vislam.estimators.smoother.keys import C, H, V, W, X, landmark
 from vislam.estimators.smoother.motion import OdometryMotion
 from vislam.estimators.smoother.tracks import View
 from vislam.geometry import se3
@@ -151,7 +151,7 @@ def test_jacobians_of_the_stereo_factor(rng):
     point = se3.transform(pose @ RIG.imu_T_cam, np.array([[1.0, -0.5, 8.0]]))[0]
     off, sigma = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.4, 0.2])
     z = RIG.project(np.array([1.0, -0.5, 8.0])) + off
-    factor = StereoFactors(RIG).stereo(3, key, z=z, sigma=sigma)
+    [factor] = StereoFactors(RIG).stereo(3, key, z=z, sigma=sigma)
     values = gtsam.Values()
     values.insert(X(3), gtsam.Pose3(pose))
     values.insert(key, point)
@@ -187,7 +187,7 @@ def test_the_clock_moves_the_twist_by_its_slope(rng):
     builder = OdometryMotion(problem(clock_sigma=0.01))
     clock, bias, later = 0.007, rng.normal(size=6), rng.normal(size=6)
     values = gtsam.Values()
-    values.insert(CLOCK, np.array([clock]))
+    values.insert(C(0), np.array([clock]))
     values.insert(W(1), second.odometry.twist + clock * second.odometry.twist_change / second.dt - bias)
     values.insert(W(2), third.odometry.twist + clock * third.odometry.twist_change / third.dt - later)
     _, of_clock, of_bias = builder.factors(second, first)
@@ -195,7 +195,7 @@ def test_the_clock_moves_the_twist_by_its_slope(rng):
     assert np.isclose(of_bias.error(values), 0.5 * np.sum(((bias - BIAS_MEAN) / BIAS_SIGMA) ** 2))
     walk = builder.factors(third, second)[1]
     assert np.isclose(walk.error(values), 0.5 * np.sum((later - bias) ** 2 / (second.dt * WALK**2)))
-    assert builder.tied(1) == [X(1), W(1), CLOCK]
+    assert builder.tied(1) == [X(1), W(1), C(0)]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -240,7 +240,7 @@ def test_smart_factor_is_the_stereo_factors_without_their_landmark(rng):
         values.insert(X(k), gtsam.Pose3(pose))
         z = RIG.project(se3.transform(RIG.cam_T_imu @ se3.inverse(pose), point[None]))[0]
         views.append(View(k, z, sigma))
-        plain.append(builder.stereo(k, key, z=z, sigma=sigma))
+        plain += builder.stereo(k, key, z=z, sigma=sigma)
     poses = [X(k) for k in range(4)]
     wanted = information(plain, values, [*poses, key])
     wanted = wanted[:24] - wanted[:24, 24:27] @ np.linalg.solve(wanted[24:, 24:27], wanted[24:])
@@ -256,10 +256,10 @@ def test_the_factor_has_the_density_and_the_weight_of_the_kernel():
     values.insert(key, se3.transform(RIG.imu_T_cam, point)[0])
     z = RIG.project(point[0]) + off
     kernel = Kernel(4.0)
-    robust = StereoFactors(RIG, kernel=kernel).stereo(0, key, z=z, sigma=sigma)
+    [robust] = StereoFactors(RIG, kernel=kernel).stereo(0, key, z=z, sigma=sigma)
     squared = float(np.sum((off / sigma) ** 2))
     # -log p of Student's density in three dimensions, less its value at zero.
     assert np.isclose(robust.error(values), 3.5 * np.log(1.0 + squared / 4.0), rtol=1e-12)
-    plain = StereoFactors(RIG).stereo(0, key, z=z, sigma=sigma)
+    [plain] = StereoFactors(RIG).stereo(0, key, z=z, sigma=sigma)
     weighted, whole = (information([factor], values, [X(0), key]) for factor in (robust, plain))
     assert np.allclose(weighted, kernel.weight(np.array(squared)) * whole, rtol=1e-9)

@@ -15,7 +15,7 @@ from vislam.comparison.open import Dataset, open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.keys import CLOCK, X
+from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.starting import Start, starts
 from vislam.geometry import se3
 
@@ -182,13 +182,6 @@ def test_options_without_a_meaning_are_refused_by_name(name, options, names, sho
     assert names in str(refused.value)
 
 
-@pytest.mark.parametrize("name", BUILD)
-def test_a_disparity_offset_is_refused(name, short, short_config):
-    problem = replace(make_problem(short_config, short), disparity_offset_sigma=0.3)
-    with pytest.raises(ConfigError, match=rf"estimators\.{name}.*disparity_offset_sigma_px"):
-        BUILD[name](problem, {})
-
-
 def test_the_kernel_changes_little_on_good_data(simulated, plain):
     config, dataset = simulated
     robust = member("isam2", replace(config, kernel=KernelConfig()), dataset)
@@ -206,7 +199,7 @@ def test_the_clock_is_found_from_a_drive_that_changes_its_speed():
     estimator = smoother(make_problem(config, dataset))
     result = run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2")
     assert result.complete
-    assert abs(estimator._motion._known[CLOCK][0] - 0.04) < 0.01
+    assert abs(estimator._motion._shared.values["clock"][0] - 0.04) < 0.01
 
 
 @pytest.mark.slow

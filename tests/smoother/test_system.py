@@ -12,9 +12,10 @@ from vislam.comparison.config import KernelConfig, VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import batch
+from vislam.estimators.smoother.batch import GraphMarginals
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.observations import Observations
-from vislam.estimators.smoother.system import Marginals, Others, longest_eliminated
+from vislam.estimators.smoother.system import Others, longest_eliminated
 
 SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
 CASES = {
@@ -42,7 +43,9 @@ def case(request, monkeypatch):
     if name == "kernel":
         config = replace(config, kernel=KernelConfig())
     monkeypatch.setattr(
-        batch.Drive, "marginals", lambda self, values: kept.append((self, values)) or none(self)
+        batch.Drive,
+        "marginals",
+        lambda self, values, shared, *, landmarks: kept.append((self, values)) or none(self),
     )
     estimator = BUILD["isam2"](make_problem(config, dataset), {"marginals": "all", "final": "as_is"})
     assert run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2").complete
@@ -52,8 +55,9 @@ def case(request, monkeypatch):
 
 def none(held):
     frames, tracks = len(held.frames), len(held.tracks)
-    sizes = ((frames, 6, 6), (tracks, 3, 3), (frames, 6, 6), (tracks, 3, 6))
-    return Marginals(*(np.broadcast_to(np.eye(*size[1:]), size) for size in sizes))
+    sizes = ((frames, 6, 6), (tracks, 3, 3), (frames, 6, 6), (tracks, 3, 6), (6, 6, 6))
+    found = GraphMarginals(*(np.broadcast_to(np.eye(*size[1:]), size) for size in sizes))
+    return replace(found, shared=np.eye(6))
 
 
 def test_a_step_is_gtsams_on_the_same_graph(case):
@@ -71,12 +75,12 @@ def test_a_step_is_gtsams_on_the_same_graph(case):
 def test_covariances_are_gtsams_and_so_are_those_with_the_first_pose(case):
     held, values = case
     solver = gtsam.Marginals(held.graph(), values)
-    found = held.marginals(values)
+    found = held.marginals(values, [X(0)])
     first = np.sqrt(np.diagonal(solver.marginalCovariance(X(0))))
     poses, tracks = [X(k) for k in range(len(held.frames))], [track.key for track in held.tracks]
     for keys, own, mixed in (
-        (poses, found.poses, found.poses_first),
-        (tracks, found.points, found.points_first),
+        (poses, found.poses, found.poses_shared),
+        (tracks, found.points, found.points_shared),
     ):
         assert len(own) == len(keys)
         for index, key in enumerate(keys):
@@ -108,7 +112,7 @@ def test_a_point_behind_the_camera_has_gtsams_residual_and_no_jacobian(case):
     view = track.views[0]
     cam = held.poses(values)[view.k] @ held.rig.imu_T_cam
     moved.update(track.key, cam[:3, 3] - 5.0 * cam[:3, 2])
-    factor = held.stereo.stereo(view.k, track.key, z=view.z, sigma=view.sigma)
+    [factor] = held.stereo.stereo(view.k, track.key, z=view.z, sigma=view.sigma)
     linear = factor.linearize(moved)
     points = np.array([moved.atPoint3(other.key) for other in held.tracks])
     seen = Observations.of(held.tracks)

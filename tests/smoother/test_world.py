@@ -11,7 +11,7 @@ from vislam.comparison.config import VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.ekf import family
 from vislam.estimators.loop import run
-from vislam.estimators.smoother.world import ReportedWorld
+from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.geometry import se3
 
 FRAMES = 40
@@ -73,19 +73,18 @@ def test_covariances_are_those_of_drawn_errors(climbing, rng):
     point = rng.standard_normal(3)
     errors = rng.standard_normal((50_000, 15)) @ root.T
     first_T_world = se3.inverse(first @ se3.exp(errors[:, :6]))
-    tried = world.poses(
-        np.eye(4), se3.inverse(first @ se3.exp(errors[:, :6])) @ pose @ se3.exp(errors[:, 6:12])
-    )
-    here = se3.inverse(first) @ pose
+    tried = first_T_world @ pose @ se3.exp(errors[:, 6:12])
+    here, origin = se3.inverse(first) @ pose, Origin(first, np.zeros(3))
+    assert np.allclose(world.poses(origin, pose, np.zeros(3)), here)
     back = se3.adjoint(se3.inverse(here))
-    pose_cov = world.pose_covariances(here[None], cov[None, 6:12, 6:12], cov[None, 6:12, :6], cov[:6, :6])[0]
+    known = GraphCovariances(cov[None, 6:12, 6:12], cov[None, 6:12, :6], cov[:6, :6])
+    pose_cov = world.pose_covariances(origin, pose[None], np.zeros((1, 3)), known)[0]
     drawn = np.cov(se3.local(here, tried).T)
     assert np.allclose(pose_cov - back @ prior @ back.T, drawn, atol=0.02 * drawn.max())
     moved = np.einsum("nij,nj->ni", first_T_world[:, :3, :3], point + errors[:, 12:])
     moved += first_T_world[:, :3, 3]
-    at = world.points(first, point[None])
-    point_cov = world.point_covariances(
-        at, cov[None, 12:, 12:], cov[None, 12:, :6], cov[:6, :6] - prior, first
-    )[0]
+    at = world.points(origin, point[None])
+    known = GraphCovariances(cov[None, 12:, 12:], cov[None, 12:, :6], cov[:6, :6] - prior)
+    point_cov = world.point_covariances(origin, at, known)[0]
     drawn = np.cov(moved.T)
     assert np.allclose(point_cov, drawn, atol=0.02 * drawn.max())

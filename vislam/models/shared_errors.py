@@ -115,6 +115,15 @@ class CameraErrors:
             focal_scale=0.0 if scale is None else float(scale[0]),
         )
 
+    def values(self) -> dict[str, Array]:
+        """Values ``(m,)`` by name."""
+        return {
+            CAMERA_ROTATION: self.rotation,
+            DISPARITY_OFFSET: np.array([self.disparity_offset]),
+            PRINCIPAL_POINT: self.principal_point,
+            FOCAL_SCALE: np.array([self.focal_scale]),
+        }
+
     @property
     def offset(self) -> Array:
         """What the disparity offset adds to (uL, uR, v), ``(3,)`` [px]."""

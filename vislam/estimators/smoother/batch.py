@@ -15,7 +15,7 @@ from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.motion import Motion
 from vislam.estimators.smoother.observations import Linearised, Observations
 from vislam.estimators.smoother.options import SmootherOptions
-from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
+from vislam.estimators.smoother.system import DriveSystem, Others
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
 
@@ -57,6 +57,26 @@ class Optimum:
     rounds: int
     converged: bool
     stopped: str
+
+
+@dataclass(frozen=True)
+class GraphMarginals:
+    """Covariances of poses ``(T, 6, 6)`` and landmarks ``(n, 3, 3)``.
+
+    Attributes
+    ----------
+    poses, points
+    poses_shared, points_shared : (T, 6, m), (n, 3, m)
+        Those with some variables of the first frame.
+    shared : (m, m)
+        Of the latter.
+    """
+
+    poses: Array
+    points: Array
+    poses_shared: Array
+    points_shared: Array
+    shared: Array
 
 
 @dataclass
@@ -104,7 +124,8 @@ class Drive:
         scale = np.ones(len(views)) if weights is None else 1.0 / np.sqrt(np.maximum(weights, _NO_WEIGHT))
         for (key, view), much in zip(views, scale.tolist(), strict=True):
             sigma = view.sigma if much == 1.0 else much * view.sigma
-            graph.add(self.stereo.stereo(view.k, key, z=view.z, sigma=sigma))
+            for factor in self.stereo.stereo(view.k, key, z=view.z, sigma=sigma):
+                graph.add(factor)
         return graph
 
     def poses(self, values: gtsam.Values) -> Array:
@@ -116,7 +137,7 @@ class Drive:
         """Values whose landmarks are re-triangulated from its poses, where their depth is clear."""
         if not self.tracks:
             return values
-        found = locate(self.rig, self.tracks, list(self.poses(values)), clear=clear)
+        found = locate(self.rig, self.stereo.errors, self.tracks, list(self.poses(values)), clear=clear)
         moved = gtsam.Values(values)
         for index in np.flatnonzero(found.ready).tolist():
             moved.update(self.tracks[index].key, found.points_world[index])
@@ -157,17 +178,47 @@ class Drive:
 
     def fit(self, values: gtsam.Values) -> tuple[float, int]:
         """Sum of the squared residuals, each by its noise, and how many more there are than unknowns."""
+        if self.stereo.repeated:
+            graph = self.graph()
+            rows = sum(graph.at(index).dim() for index in range(graph.size()))
+            rows -= self.stereo.repeated * len(self._seen.frame)
+            return 2.0 * graph.error(values), rows - values.dim()
         others, found = self.without_tracks(), self._linearised(values)
         rows = sum(others.at(index).dim() for index in range(others.size())) + found.residual.size
         return 2.0 * others.error(values) + float(np.sum(found.residual**2)), rows - values.dim()
 
-    def marginals(self, values: gtsam.Values) -> Marginals:
-        """Marginal covariances: of a pose on its right, of a point in the world's axes."""
-        try:
-            return self.system(values).marginals()
-        except np.linalg.LinAlgError:
-            # Cholesky has failed; a tree by QR does not.
-            return self._marginals_by_qr(values)
+    def marginals(
+        self, values: gtsam.Values, shared: Sequence[int] = (), *, landmarks: bool = True
+    ) -> GraphMarginals:
+        """Marginal covariances: of a pose on its right, of a point in the world's axes.
+
+        Parameters
+        ----------
+        values : gtsam.Values
+        shared : sequence of int
+            Variables of the first frame that cross-covariances are asked with.
+        landmarks : bool
+            Whether those of the landmarks are asked for.
+        """
+        # The normal equations have stereo observations of fixed calibration, and cross with the first pose.
+        if not self.stereo.repeated and set(shared) <= {X(0)}:
+            try:
+                found = self.system(values).marginals()
+            except np.linalg.LinAlgError:
+                # Cholesky has failed; a tree by QR does not.
+                return self._marginals_by_qr(values, shared, landmarks=landmarks)
+            return GraphMarginals(
+                found.poses, found.points, found.poses_first, found.points_first, found.poses[0]
+            )
+        return self._marginals_by_qr(values, shared, landmarks=landmarks)
+
+    def joint_covariances(self, values: gtsam.Values, groups: Sequence[Sequence[int]]) -> list[Array]:
+        """Joint covariances ``(d, d)`` of the errors of several variables each, in their order."""
+        tree, found = self._by_qr(values), []
+        for keys in groups:
+            joint = tree.jointMarginalCovariance(list(keys))
+            found.append(np.block([[joint.at(one, other) for other in keys] for one in keys]))
+        return found
 
     def system(self, values: gtsam.Values) -> DriveSystem:
         """Normal equations at an estimate, factorised.
@@ -192,41 +243,63 @@ class Drive:
         points = np.array([values.atPoint3(track.key) for track in self.tracks]).reshape(-1, 3)
         return self._seen.linearise(self.rig, self.poses(values), points, kernel=self.stereo.kernel)
 
-    def _marginals_by_qr(self, values: gtsam.Values) -> Marginals:
-        graph = self.graph()
+    def _by_qr(self, values: gtsam.Values) -> gtsam.ISAM2:
+        """Bayes tree of the whole graph by QR."""
         parameters = gtsam.ISAM2Params()
         parameters.setFactorization("QR")
         tree = gtsam.ISAM2(parameters)
-        tree.update(graph, values)
-        poses, points = [X(k) for k in range(len(self.frames))], [track.key for track in self.tracks]
+        tree.update(self.graph(), values)
+        return tree
+
+    def _marginals_by_qr(
+        self, values: gtsam.Values, shared: Sequence[int], *, landmarks: bool
+    ) -> GraphMarginals:
+        tree = self._by_qr(values)
+        points = [track.key for track in self.tracks] if landmarks else []
+        poses = [X(k) for k in range(len(self.frames))]
         own = [tree.marginalCovariance(key) for key in [*poses, *points]]
-        mixed = _with_first(graph, values, [*poses, *points])
-        count = len(poses)
-        return Marginals(
+        size, count = sum(values.zeroVectors().dim(key) for key in shared), len(poses)
+        mixed = self._crossed(values, [*shared, *poses, *points], shared) if shared else []
+        firsts, mixed = mixed[: len(shared)], mixed[len(shared) :]
+        return GraphMarginals(
             poses=np.array(own[:count]),
             points=np.array(own[count:]).reshape(-1, 3, 3),
-            poses_first=np.array(mixed[:count]),
-            points_first=np.array(mixed[count:]).reshape(-1, 3, 6),
+            poses_shared=np.array(mixed[:count]).reshape(count, 6, size),
+            points_shared=np.array(mixed[count:]).reshape(-1, 3, size),
+            shared=np.concatenate(firsts) if firsts else np.zeros((0, 0)),
         )
 
+    def _crossed(self, values: gtsam.Values, keys: Sequence[int], shared: Sequence[int]) -> list[Array]:
+        """Covariances ``(d, m)`` of the errors of variables with those of others, ``shared``, in their order.
 
-def _with_first(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Sequence[int]) -> list[Array]:
-    """Covariances ``(d, 6)`` of the errors of variables with those of the first pose.
+        With the information ``R^T R`` of all errors they are the columns ``R^-1 R^-T e`` of its inverse: one
+        elimination, and a substitution forth and back for each component of the latter.
+        """
+        linear, nothing = self.graph().linearize(values), values.zeroVectors()
+        try:
+            net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
+        except RuntimeError:
+            return self._crossed_by_qr(values, keys, shared)
+        columns = []
+        units = [(key, unit) for key in shared for unit in np.eye(nothing.dim(key))]
+        for key, unit in units:
+            right, only_one = gtsam.VectorValues(nothing), gtsam.VectorValues()
+            only_one.insert(key, unit)
+            right.update(only_one)
+            solved = net.backSubstitute(net.backSubstituteTranspose(right))
+            columns.append([solved.at(key) for key in keys])
+        return [np.column_stack(of_key) for of_key in zip(*columns, strict=True)]
 
-    With the information ``R^T R`` of all errors they are the columns ``R^-1 R^-T e`` of its inverse: one
-    elimination, and a substitution forth and back for each component of the pose.
-    """
-    linear = graph.linearize(values)
-    net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
-    nothing = values.zeroVectors()
-    columns = []
-    for unit in np.eye(6):
-        right, only_first = gtsam.VectorValues(nothing), gtsam.VectorValues()
-        only_first.insert(X(0), unit)
-        right.update(only_first)
-        solved = net.backSubstitute(net.backSubstituteTranspose(right))
-        columns.append([solved.at(key) for key in keys])
-    return [np.column_stack(of_key) for of_key in zip(*columns, strict=True)]
+    def _crossed_by_qr(self, values: gtsam.Values, keys: Sequence[int], shared: Sequence[int]) -> list[Array]:
+        """The same from joint marginals of a tree by QR, one after the other."""
+        like = values.zeroVectors()
+        size = sum(like.dim(key) for key in shared)
+        start = dict(zip(shared, np.cumsum([0, *(like.dim(key) for key in shared)]).tolist(), strict=False))
+        found = self.joint_covariances(values, [[*shared, *({key} - set(shared))] for key in keys])
+        return [
+            joint[start.get(key, size) : start.get(key, size) + like.dim(key), :size]
+            for key, joint in zip(keys, found, strict=True)
+        ]
 
 
 def minimise(

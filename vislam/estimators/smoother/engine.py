@@ -106,8 +106,12 @@ class Engine(Protocol):
         """Marginal covariance of a variable."""
         ...
 
-    def joint_covariance(self, first: int, key: int) -> Array:
-        """Joint covariance ``(12, 12)`` of two poses, errors of the first one first."""
+    def calibration(self, key: int) -> gtsam.Cal3_S2:
+        """Calibration of a camera."""
+        ...
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
         ...
 
 
@@ -146,12 +150,16 @@ class _Read:
         """Marginal covariance of a variable."""
         return _solved(self._solver.marginalCovariance, key)
 
-    def joint_covariance(self, first: int, key: int) -> Array:
-        """Joint covariance ``(12, 12)`` of two poses, errors of the first one first."""
-        if key == first:
-            return np.tile(self.covariance(first), (2, 2))
-        joint = _solved(self._joint_solver().jointMarginalCovariance, [first, key])
-        return np.block([[joint.at(one, other) for other in (first, key)] for one in (first, key)])
+    def calibration(self, key: int) -> gtsam.Cal3_S2:
+        """Calibration of a camera."""
+        return _solved(self._solver.calculateEstimateCal3_S2, key)
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
+        if len(keys) == 1:
+            return self.covariance(keys[0])
+        joint = _solved(self._joint_solver().jointMarginalCovariance, list(keys))
+        return np.block([[joint.at(one, other) for other in keys] for one in keys])
 
     def _joint_solver(self) -> Any:
         """What GTSAM has joint covariances of."""

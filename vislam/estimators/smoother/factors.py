@@ -9,8 +9,9 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.pixel_errors import PixelErrors
 from vislam.estimators.smoother.tracks import View
-from vislam.models import Kernel, StereoRig
+from vislam.models import CameraErrors, Kernel, StereoRig
 
 _VAGUE = 1e3
 """Standard deviation of a landmark of which nothing is known [m]."""
@@ -23,6 +24,9 @@ class StereoFactors:
     Parameters
     ----------
     rig : StereoRig
+    pixels : PixelErrors or None
+        Shared errors of the pixels that are variables; observations have two factors each then, and no
+        kernel.
     kernel : Kernel or None
         Student's density of the pixel errors, as GTSAM's Cauchy kernel, which is the same function; smart
         factors have none.
@@ -32,7 +36,10 @@ class StereoFactors:
     kernel : Kernel or None
     """
 
-    def __init__(self, rig: StereoRig, *, kernel: Kernel | None = None) -> None:
+    def __init__(
+        self, rig: StereoRig, *, pixels: PixelErrors | None = None, kernel: Kernel | None = None
+    ) -> None:
+        self._pixels = pixels
         self._calibration = gtsam.Cal3_S2Stereo(rig.fx, rig.fy, 0.0, rig.cx, rig.cy, rig.baseline)
         self._body_P_sensor = gtsam.Pose3(rig.imu_T_cam)
         self.kernel = kernel
@@ -42,11 +49,22 @@ class StereoFactors:
             self._kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(threshold)
         self._noises: dict[tuple[float, ...], gtsam.noiseModel.Base] = {}
 
-    def stereo(self, k: int, key: int, *, z: Array, sigma: Array) -> gtsam.NonlinearFactor:
-        """Stereo factor of a landmark seen from frame k as ``z (3,)`` = (uL, uR, v), ``sigma (3,)`` [px]."""
-        return gtsam.GenericStereoFactor3D(
-            gtsam.StereoPoint2(*z), self._noise(sigma), X(k), key, self._calibration, self._body_P_sensor
-        )
+    @property
+    def errors(self) -> CameraErrors:
+        """Shared errors of the pixels as known now."""
+        return CameraErrors() if self._pixels is None else self._pixels.errors
+
+    @property
+    def repeated(self) -> int:
+        """Rows of an observation that its factors have once more than it has numbers."""
+        return 0 if self._pixels is None else 1
+
+    def stereo(self, k: int, key: int, *, z: Array, sigma: Array) -> list[gtsam.NonlinearFactor]:
+        """Factors of a landmark seen from frame k as ``z (3,)`` = (uL, uR, v), ``sigma (3,)`` [px]."""
+        if self._pixels is not None:
+            return self._pixels.stereo(k, key, z=z, sigma=sigma)
+        point, noise = gtsam.StereoPoint2(*z), self._noise(sigma)
+        return [gtsam.GenericStereoFactor3D(point, noise, X(k), key, self._calibration, self._body_P_sensor)]
 
     def smart(self, views: Iterable[View]) -> gtsam.NonlinearFactor:
         """One factor of all views of a track, in which the landmark is eliminated at each linearisation."""

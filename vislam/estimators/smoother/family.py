@@ -27,9 +27,12 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
 """What each variant sets; its config section may set the rest, or these again."""
 
 
+def _not_known(name: str, problem: Problem) -> bool:
+    return name in problem.shared()
+
+
 _BETWEEN_LACKS: Mapping[str, Callable[[Problem], bool]] = {
-    "clock_sigma to 0": lambda problem: problem.clock_sigma > 0.0,
-    "velocity_direction_sigma to 0": lambda problem: problem.velocity_direction_sigma > 0.0,
+    **{f"{shared_errors.prior_name(name)} to 0": partial(_not_known, name) for name in shared_errors.SIZES},
     "acceleration_density to null": lambda problem: problem.noise.acceleration is not None,
 }
 """What motion: between has no variables for, each by its remedy."""
@@ -39,16 +42,15 @@ def _variant(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoothe
     """Build a variant from a problem and the options of its config section."""
     at = f"estimators.{name}"
     parsed = settings.parse(SmootherOptions, {**VARIANTS[name], **current(options, at=at)}, at=at)
-    lacking = [name for name in shared_errors.OF_CAMERA if name in problem.shared()]
-    if lacking:
-        raise ConfigError(
-            f"estimators.{name}: GTSAM's stereo factor has no {lacking[0].replace('_', ' ')} as a variable; "
-            f"set noise.{shared_errors.prior_name(lacking[0])} to 0, or compare filters only"
-        )
     if problem.imu is not None and parsed.motion == "between":
         raise ConfigError(
             f"estimators.{name}: motion: between is a step of the recorded twist, and the motion of the "
             "comparison is imu; leave the run out"
+        )
+    if problem.imu is not None and shared_errors.CAMERA_ROTATION in problem.shared():
+        raise ConfigError(
+            f"estimators.{name}: by raw inertia a smoother has no camera rotation as a variable; set "
+            "noise.camera_rotation_sigma to 0, or compare filters only"
         )
     asked = [name for name, wanted in _BETWEEN_LACKS.items() if wanted(problem)]
     if parsed.motion == "between" and asked:
@@ -56,7 +58,22 @@ def _variant(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoothe
             f"estimators.{name}: motion: between has no variables but poses, landmarks and heights; "
             f"set noise.{asked[0]}, or motion to bias"
         )
+    _refuse_halves(name, problem, parsed)
     return SmootherEstimator(problem, parsed)
+
+
+def _refuse_halves(name: str, problem: Problem, options: SmootherOptions) -> None:
+    """Refuse what has no meaning for the two factors of an observation where pixels have shared errors."""
+    pixels = [error for error in shared_errors.OF_PIXELS if error in problem.shared()]
+    weighed = "kernel" if problem.kernel is not None else ""
+    if not options.plain:
+        weighed = f"estimators.{name}.final" if options.final == "gnc" else f"estimators.{name}.factors"
+    if pixels and weighed:
+        raise ConfigError(
+            f"estimators.{name}: with {pixels[0].replace('_', ' ')} estimated, GTSAM has two factors for an "
+            f"observation, which {weighed} would weigh each by itself; set it to its plain value, or "
+            f"noise.{shared_errors.prior_name(pixels[0])} to 0"
+        )
 
 
 build_isam2 = partial(_variant, "isam2")

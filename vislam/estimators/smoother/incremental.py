@@ -1,6 +1,7 @@
 """Smoothing SLAM, one frame at a time, with GTSAM doing the solving."""
 
 import logging
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import Problem
+from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
 from vislam.core.lagged import LagReader
 from vislam.core.step import Final, State, Step
@@ -22,11 +23,13 @@ from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.restart import restarted
-from vislam.estimators.smoother.solver import Solver
-from vislam.estimators.smoother.world import ReportedWorld
+from vislam.estimators.smoother.solver import Solver, shared_keys
+from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.models.kernel import kernel_name
+from vislam.models.shared_errors import FOCAL_SCALE, OF_PIXELS, SIZES
 
 _log = logging.getLogger("vislam.estimators.smoother")
+_NOWHERE = Origin(np.eye(4), np.zeros(3))
 
 
 class SmootherEstimator:
@@ -50,18 +53,22 @@ class SmootherEstimator:
         if problem.lags is not None:
             # A change that is left alone as small would be missing from the poses that are read later.
             options = replace(options, wildfire_threshold=0.0)
+        if FOCAL_SCALE in problem.shared() and options.factorization == "auto":
+            # Cholesky refuses the tie between both focal lengths; asking it at each step costs more.
+            options = replace(options, factorization="qr")
         self._lags = None if problem.lags is None else LagReader(problem.lags)
         self._problem, self._options = problem, options
         kernel = problem.kernel if options.plain else None
         self._gaussian = options.plain and kernel is None
-        self._motion = motion.make(problem, between=options.motion == "between")
+        self._motion = motion.make(problem, options)
         self.upright = problem.imu is not None
         self.information = {
             "noise of the tracks": _noise(options),
             "kernel": "truncated least squares" if options.final == "gnc" else kernel_name(kernel),
             **self._motion.information,
+            **shared_information(problem, estimated=_estimated(problem, options)),
         }
-        self._stereo = StereoFactors(problem.rig, kernel=kernel)
+        self._stereo = StereoFactors(problem.rig, pixels=self._motion.pixels, kernel=kernel)
         self._world = ReportedWorld(problem)
         self._solver = Solver(
             problem.rig, options, self._motion, self._stereo, world=self._world, comes_back=problem.kept > 0
@@ -84,11 +91,13 @@ class SmootherEstimator:
         for track in solver.start():
             values.insert(track.key, track.point)
             sights += [(track, view) for view in track.views]
+        owners = []
         for track, view in sights:
-            graph.add(self._stereo.stereo(view.k, track.key, z=view.z, sigma=view.sigma))
-        owners = [track for track, _ in sights]
+            for factor in self._stereo.stereo(view.k, track.key, z=view.z, sigma=view.sigma):
+                graph.add(factor)
+                owners.append(track)
         now = list({track.id: track for track in owners}.values())
-        self._counts["observations_used_late"] += len(owners) - len(now)
+        self._counts["observations_used_late"] += len(sights) - len(now)
         solver.keep_leaving(frame)
         try:
             solver.update(frame, graph, values, owners, now)
@@ -102,7 +111,7 @@ class SmootherEstimator:
         every = self._options.pose_cov_every
         states, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
         return Step(
-            pose=solver.reported(solver.poses[-1]),
+            pose=solver.reported(frame.k),
             pose_cov=pose_cov,
             states=states,
             used=np.isin(frame.stereo.track, [track.id for track in seen]),
@@ -126,23 +135,24 @@ class SmootherEstimator:
         tracks = solver.tracks.landmarks
         pose_cov = points_cov = fit = None
         if options.lag_s is not None:
-            first = solver.first()
-            held = [solver.engine.pose(X(k)) for k in solver.held()]
-            poses = np.array([*solver.left, *self._world.poses(first, np.array(held).reshape(-1, 4, 4))])
+            origin = solver.origin() if self._frames else _NOWHERE
+            poses = np.array([*solver.left, *(solver.reported(k) for k in solver.held())])
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
-            points = self._world.points(first, points)
+            points = self._world.points(origin, points)
         else:
             drive = Drive(self._problem.rig, self._motion, self._stereo, self._frames, tracks)
             values = self._finish(drive)
             tracks = drive.tracks
-            poses = drive.poses(values)
+            graph_poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
-            first = poses[0] if len(poses) else np.eye(4)
-            poses, points = self._world.poses(first, poses), self._world.points(first, points)
+            rotation = self._rotations(values)
+            origin = Origin(graph_poses[0], rotation[0]) if len(graph_poses) else _NOWHERE
+            poses = self._world.poses(origin, graph_poses, rotation)
+            points = self._world.points(origin, points)
             if self._gaussian:
                 fit = drive.fit(values)
             if options.marginals != "none" and len(poses):
-                pose_cov, points_cov = self._covariances(drive, values, poses, points)
+                pose_cov, points_cov = self._covariances(drive, values, points)
         fused = [*tracks, *solver.tracks.former]
         return Final(
             trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
@@ -156,7 +166,7 @@ class SmootherEstimator:
                 "steps_by_qr": self._recovery.by_qr,
                 "cholesky_failures": self._recovery.refusals,
             },
-            up=self._world.up(first),
+            up=self._world.up(origin),
             fused=(
                 np.array([view.k for track in fused for view in track.views], dtype=np.int64),
                 np.array([track.id for track in fused for _ in track.views], dtype=np.int64),
@@ -166,19 +176,39 @@ class SmootherEstimator:
             lagged=lagged,
         )
 
-    def _covariances(
-        self, drive: Drive, values: gtsam.Values, poses: Array, points: Array
-    ) -> tuple[Array, Array | None]:
-        """Covariances of all poses and, if asked for, landmarks, in the world that is reported."""
-        found, landmarks = drive.marginals(values), self._options.marginals == "all"
-        pose_cov, points_cov = found.poses, found.points
-        if self._world.tilted:
-            first, first_cov = values.atPose3(X(0)).matrix(), found.poses[0]
-            pose_cov = self._world.pose_covariances(poses, pose_cov, found.poses_first, first_cov)
-            if landmarks:
-                cross = found.points_first
-                points_cov = self._world.point_covariances(points, points_cov, cross, first_cov, first)
-        return pose_cov, points_cov if landmarks else None
+    def _covariances(self, drive: Drive, values: gtsam.Values, points: Array) -> tuple[Array, Array | None]:
+        """Covariances of all poses and, if asked for, landmarks ``(n, 3)``, in the world that is reported."""
+        world, landmarks = self._world, self._options.marginals == "all"
+        firsts = shared_keys(world, self._motion, 0)
+        found = drive.marginals(values, firsts, landmarks=landmarks)
+        if not world.own:
+            return found.poses, found.points if landmarks else None
+        known = GraphCovariances(found.poses, found.poses_shared, found.shared)
+        if self._motion.rotation(0) != self._motion.rotation(1):
+            known = self._with_own_rotations(drive, values, found.poses)
+        poses, rotation = drive.poses(values), self._rotations(values)
+        origin = Origin(poses[0], rotation[0])
+        pose_cov = world.pose_covariances(origin, poses, rotation, known)
+        if not landmarks:
+            return pose_cov, None
+        of_points = GraphCovariances(found.points, found.points_shared, found.shared)
+        return pose_cov, world.point_covariances(origin, points, of_points)
+
+    def _with_own_rotations(self, drive: Drive, values: gtsam.Values, own: Array) -> GraphCovariances:
+        """Covariances ``(T, 6, 6)`` of the poses, and those with the rotation of their frame, which walks."""
+        t, m = len(own), 12 if self._world.tilted else 6
+        cross, shared = np.zeros((t, 6, m)), np.zeros((t, m, m))
+        later = range(1, t)
+        groups = [[*shared_keys(self._world, self._motion, k), X(k)] for k in later]
+        for k, joint in zip(later, drive.joint_covariances(values, groups), strict=True):
+            cross[k], shared[k] = joint[m:, :m], joint[:m, :m]
+        return GraphCovariances(own, cross, shared)
+
+    def _rotations(self, values: gtsam.Values) -> Array:
+        """Rotations ``(T, 3)`` of the cameras at all frames, 0 where they are known."""
+        keys = [self._motion.rotation(k) for k in range(len(self._frames))]
+        found = [np.zeros(3) if key is None else values.atVector(key) for key in keys]
+        return np.array(found).reshape(-1, 3)
 
     def _read(self, k: int, with_cov: bool) -> tuple[Array, Array | None]:
         """Pose of a frame as known now, or as it was when it left a lag, which leaves no covariance."""
@@ -190,7 +220,7 @@ class SmootherEstimator:
             # What cannot be told of a covariance beside a marginal is no fault of the estimate.
             with suppress(IndeterminateError):
                 cov = solver.covariance(k)
-        return solver.reported(solver.engine.pose(X(k))), cov
+        return solver.reported(k), cov
 
     def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""
@@ -235,6 +265,13 @@ class SmootherEstimator:
 
 def _stopped(what: str, budget: Budget, by: str) -> str:
     return f"{what}: stopped after {budget.done} iterations ({by})"
+
+
+def _estimated(problem: Problem, options: SmootherOptions) -> Collection[str]:
+    """Shared errors that are variables."""
+    if options.motion == "between":
+        return ()
+    return SIZES if problem.imu is None else OF_PIXELS
 
 
 def _noise(options: SmootherOptions) -> str:

@@ -4,9 +4,12 @@
 that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the body
 itself, where it is supposed to move smoothly (by raw inertia ``V(k)`` is the velocity and ``B(k)`` both
 biases: :mod:`vislam.estimators.smoother.inertial`), ``H(k)`` the height as the vertical velocity has led, and
-``CLOCK`` what is left of the clock offset, ``DIRECTION`` that of the velocity in the body, ``A(k)`` the
-anchor beside a pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). The letter of a landmark
-tells its depth.
+``A(k)`` the anchor beside a pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). Errors that all
+tracks share have an index of 0 where they are constant, and that of the frame where they walk: ``C`` what is
+left of the clock offset, ``D`` the direction of the velocity in the body, ``Y`` the rotation of the cameras
+(:mod:`vislam.estimators.smoother.twist_errors`), ``F`` and ``G`` the calibrations of the left and the right
+camera, ``E`` their mountings (:mod:`vislam.estimators.smoother.pixel_errors`). The letter of a landmark tells
+its depth.
 
 iSAM2 takes its relinearisation thresholds by letter. A landmark 100 m away that moves by 1 m changes
 nothing; one at 5 m does. So the letter of a landmark is that of its depth, by half octaves, and each
@@ -17,36 +20,25 @@ from collections.abc import Mapping
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, D, H, V, W, X
+from gtsam.symbol_shorthand import A, B, C, D, E, F, G, H, V, W, X, Y
 
 from vislam.base.types import Array
 
-CLOCK: int = C(0)
-DIRECTION: int = D(0)
 _LETTERS = "DEFGIJKLMNijklmnopqrstu"
 _NEAREST = 0.125
 """Depth up to which the first letter goes [m]; the last one begins at 181 m."""
 _NEVER = 1e3
 LINEAR: Mapping[str, Array] = {
     letter: np.full(size, _NEVER)
-    for letter, size in (("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1), ("d", 2))
+    for letter, size in (("w", 6), ("v", 6), ("b", 6), ("h", 3), ("c", 1), ("d", 2), ("y", 3))
 }
 """Thresholds of the variables beside the recorded twist, which enter the factors linearly, or nearly so."""
 
-__all__ = [
-    "CLOCK",
-    "DIRECTION",
-    "LINEAR",
-    "A",
-    "B",
-    "H",
-    "V",
-    "W",
-    "X",
-    "is_landmark",
-    "landmark",
-    "thresholds",
-]
+PIXEL_ERRORS: Mapping[str, Array] = {"e": np.full(6, _NEVER), "f": np.full(5, 0.3), "g": np.full(5, 0.3)}
+"""Those of mountings, and of calibrations, whose product with a change of the points is small [px]."""
+
+__all__ = ["A", "B", "C", "D", "E", "F", "G", "H", "V", "W", "X", "Y"]
+__all__ += ["LINEAR", "PIXEL_ERRORS", "is_landmark", "landmark", "thresholds"]
 
 
 def landmark(number: int, depth: float) -> int:

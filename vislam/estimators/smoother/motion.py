@@ -24,9 +24,13 @@ from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS, State
 from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.inertial import InertialMotion
-from vislam.estimators.smoother.keys import CLOCK, DIRECTION, LINEAR, B, H, V, W, X
+from vislam.estimators.smoother.keys import LINEAR, PIXEL_ERRORS, B, H, V, W, X
+from vislam.estimators.smoother.linear import linear_factor
+from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.pixel_errors import PixelErrors
+from vislam.estimators.smoother.twist_errors import TwistErrors
 from vislam.geometry import se3
-from vislam.models import odometry
+from vislam.models import CameraErrors, odometry
 
 _UNUSED = 1.0
 """Spread of the two coordinates of a height's point that no factor asks for [m]."""
@@ -72,6 +76,15 @@ class Motion(Protocol):
     @property
     def thresholds(self) -> Mapping[str, Array]:
         """Changes of its variables, by the letter of their keys, from which on these are relinearised."""
+        ...
+
+    def rotation(self, k: int) -> int | None:
+        """Key of the rotation of the cameras at a frame; None where it is known."""
+        ...
+
+    @property
+    def pixels(self) -> "PixelErrors | None":
+        """Shared errors of the pixels, if any is not known."""
         ...
 
 
@@ -133,9 +146,9 @@ class OdometryMotion:
     own, ``V(k)``, in no other factor: it takes up the other half of the error whatever that is, and of the
     first half, whose covariance is ``dt^3 / 3 Qc``, nothing is lost.
 
-    As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``. What
-    is constant all along, the clock and the direction of the velocity in the body, stands in the prior of the
-    bias and in its walk, linearly.
+    As w is the variable and not the bias, the walk of the bias is ``w_{k+1} - w_k = u_{k+1} - u_k + n``. The
+    clock, the direction of the velocity in the body and the rotation of the cameras stand in the prior of the
+    bias and in its walk, linearly (:mod:`vislam.estimators.smoother.twist_errors`).
 
     The vertical velocity enters by :class:`Height`; without it the first pose is the identity within its
     prior.
@@ -146,24 +159,36 @@ class OdometryMotion:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._constants = _constants(problem)
-        self._bias = np.array(problem.bias_mean)
+        self._shared = TwistErrors(problem.shared())
+        # Of what the prior has for its mean, and along the axes of the cameras.
+        self._bias = np.zeros(6)
         self._twist = np.zeros(6)
-        self._known = {key: np.zeros(len(sigma)) for key, sigma in self._constants.items()}
         self._height = Height(problem.vertical_velocity)
+
+    @property
+    def pixels(self) -> PixelErrors | None:
+        """None: they are the camera's."""
+        return None
+
+    def rotation(self, k: int) -> int | None:
+        """Key of the rotation of the cameras at a frame; None where it is known."""
+        return self._shared.rotation(k) if self._shared.turned else None
 
     def factors(self, frame: Frame, before: Frame | None) -> list[gtsam.NonlinearFactor]:
         """Priors, motion, walk of the bias, vertical velocity."""
         k, problem = frame.k, self._problem
+        shared = self._shared.factors(frame, before)
         if before is None:
-            return [_first_pose(problem, self._height), *self._height.factors(frame)]
+            first = _first_pose(problem, self._height, rotation=self.rotation(0))
+            return [first, *self._height.factors(frame), *shared]
         end = gtsam.StateData(X(k), V(k), frame.dt)
         density = np.maximum(problem.noise.twist, _SMALLEST_DENSITY)
         return [
             gtsam.WnoaMotionFactorPose3(
                 gtsam.StateData(X(k - 1), W(k), 0.0), end, 3.0 * (density / frame.dt) ** 2
             ),
-            *self._bias_factors(frame, before),
+            *shared,
+            self._bias_factor(frame, before),
             *self._height.factors(frame),
         ]
 
@@ -171,7 +196,7 @@ class OdometryMotion:
         """Integrate the twist less its bias, and the vertical velocity."""
         if frame.k == 0:
             return pose
-        self._twist = self._recorded(frame) - self._bias
+        self._twist = self._shared.recorded(frame, self._problem.bias_mean)[0] - self._bias
         self._height.predict(frame)
         return pose @ se3.exp(frame.dt * self._twist)
 
@@ -182,71 +207,65 @@ class OdometryMotion:
         if k > 0:
             values.insert(W(k), self._twist)
             values.insert(V(k), self._twist)
-        if k == 1:
-            for key, value in self._known.items():
-                values.insert(key, value)
+        self._shared.insert(values, k)
         self._height.insert(values, k)
 
     def keys(self, k: int) -> list[int]:
         """Keys of a frame's own variables."""
-        return [X(k), *([W(k), V(k)] if k > 0 else []), *self._height.keys(k)]
+        own = [W(k), V(k)] if k > 0 else []
+        return [X(k), *own, *self._height.keys(k), *self._shared.keys(k)]
 
     def tied(self, k: int) -> list[int]:
         """Keys that the factors of the next frame tie to."""
-        constants = self._constants if k > 0 else ()
-        return [*(key for key in self.keys(k) if key != V(k)), *constants]
+        found = [*(key for key in self.keys(k) if key != V(k)), *self._shared.tied(k)]
+        return list(dict.fromkeys(found))
 
     def read(self, engine: Engine, frame: Frame) -> None:
-        """Read constants and bias."""
+        """Read shared errors and bias."""
+        for name, key in self._shared.last(frame.k).items():
+            self._shared.values[name] = engine.vector(key)
         if frame.k > 0:
-            self._known = {key: engine.vector(key) for key in self._constants}
-            self._bias = self._recorded(frame) - engine.vector(W(frame.k))
+            twist, _ = self._shared.recorded(frame, self._problem.bias_mean)
+            self._bias = twist - engine.vector(W(frame.k))
 
     def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
-        """Bias at the end of the step; the constants' share in the variance of the twist is left in it."""
+        """Bias at the end of the step, with the shared errors' share in the variance of the twist; these."""
+        bias = self._problem.bias_mean + self._shared.turn_back(self._bias)
         sigma = None
-        if with_sigma and frame.k == 0:
+        if with_sigma:
             sigma = np.array(self._problem.bias_sigma)
-        elif with_sigma:
-            walk = frame.dt * self._problem.noise.bias_walk**2
-            sigma = np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
-        return {TWIST_BIAS: State(self._bias, sigma)}
+            if frame.k > 0:
+                walk = frame.dt * self._problem.noise.bias_walk**2
+                sigma = np.sqrt(np.diagonal(engine.covariance(W(frame.k))) + walk)
+        found = {TWIST_BIAS: State(bias, sigma)}
+        keys = self._shared.last(frame.k)
+        for name, value in self._shared.values.items():
+            spread = None
+            if with_sigma and name in keys:
+                walked = self._shared.walked(name, frame)
+                spread = np.sqrt(np.diagonal(engine.covariance(keys[name])) + walked)
+            found[name] = State(value.copy(), spread)
+        return found
 
-    def _bias_factors(self, frame: Frame, before: Frame) -> list[gtsam.NonlinearFactor]:
-        """Ties of the twist less its bias: the prior of the bias at the first step, its walk after that."""
-        problem, key, constants = self._problem, W(frame.k), self._design(frame)
+    def _bias_factor(self, frame: Frame, before: Frame) -> gtsam.NonlinearFactor:
+        """Tie of the twist less its bias: the prior of the bias at the first step, its walk after that."""
+        problem, key = self._problem, W(frame.k)
+        constant, terms = self._shared.terms(frame, problem.bias_mean, self._bias)
         if before.k == 0:
-            mean, sigma = frame.odometry.twist - problem.bias_mean, np.asarray(problem.bias_sigma)
-            if not constants:
-                return [gtsam.PriorFactorVector(key, mean, _sigmas(sigma))]
-            priors = [
-                gtsam.PriorFactorVector(constant, np.zeros(len(spread)), _sigmas(spread))
-                for constant, spread in self._constants.items()
-            ]
-            terms = {constant: -matrix for constant, matrix in constants.items()}
-            return [*priors, _linear({key: np.eye(6), **terms}, mean, sigma)]
-        change = frame.odometry.twist - before.odometry.twist
-        sigma = np.sqrt(before.dt) * problem.noise.bias_walk
-        if not constants:
-            return [gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))]
-        terms = {constant: matrix - constants[constant] for constant, matrix in self._design(before).items()}
-        return [_linear({W(before.k): -np.eye(6), key: np.eye(6), **terms}, change, sigma)]
-
-    def _design(self, frame: Frame) -> dict[int, Array]:
-        """What the recorded twist of a step rises by with each constant, by its key."""
-        odometry_step = frame.odometry
-        every = {
-            CLOCK: odometry_step.twist_change[:, None] / frame.dt,
-            DIRECTION: -odometry_step.twist[3] * odometry.ACROSS,
-        }
-        return {key: every[key] for key in self._constants}
-
-    def _recorded(self, frame: Frame) -> Array:
-        """Recorded twist ``(6,)`` of a step with the constants as read last."""
-        return np.asarray(
-            frame.odometry.twist
-            + sum(matrix @ self._known[key] for key, matrix in self._design(frame).items())
-        )
+            sigma = np.asarray(problem.bias_sigma)
+            if not terms:
+                return gtsam.PriorFactorVector(key, constant, _sigmas(sigma))
+            return linear_factor(
+                {key: np.eye(6), **{name: -matrix for name, matrix in terms.items()}}, constant, sigma
+            )
+        earlier, others = self._shared.terms(before, problem.bias_mean, self._bias)
+        change, sigma = constant - earlier, np.sqrt(before.dt) * problem.noise.bias_walk
+        if not terms:
+            return gtsam.BetweenFactorVector(W(before.k), key, change, _sigmas(sigma))
+        joined = {name: -matrix for name, matrix in terms.items()}
+        for name, matrix in others.items():
+            joined[name] = joined[name] + matrix if name in joined else matrix
+        return linear_factor({W(before.k): -np.eye(6), key: np.eye(6), **joined}, change, sigma)
 
 
 class SmoothMotion(OdometryMotion):
@@ -266,7 +285,7 @@ class SmoothMotion(OdometryMotion):
         """Those of the recorded twist, and the prior of smooth motion."""
         k, found = frame.k, super().factors(frame, before)
         if before is None:
-            mean = frame.odometry.twist - self._problem.bias_mean
+            mean, _ = self._shared.recorded(frame, self._problem.bias_mean)
             sigma = np.sqrt(FIRST_TWIST_S) * self._acceleration
             return [*found, gtsam.PriorFactorVector(B(0), mean, _sigmas(sigma))]
         ends = gtsam.StateData(X(k - 1), B(k - 1), 0.0), gtsam.StateData(X(k), B(k), frame.dt)
@@ -275,7 +294,8 @@ class SmoothMotion(OdometryMotion):
     def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
         """Insert the body's twist as well: the recorded one less its bias."""
         super().insert(values, frame, pose)
-        values.insert(B(frame.k), self._twist if frame.k else frame.odometry.twist - self._bias)
+        first, _ = self._shared.recorded(frame, self._problem.bias_mean)
+        values.insert(B(frame.k), self._twist if frame.k else first - self._bias)
 
     def keys(self, k: int) -> list[int]:
         """Keys of a frame's own variables."""
@@ -335,18 +355,89 @@ class BetweenMotion:
         del engine, frame, with_sigma
         return {TWIST_BIAS: State(np.array(self._problem.bias_mean))}
 
+    @property
+    def pixels(self) -> PixelErrors | None:
+        """None: it has no such variables."""
+        return None
+
+    def rotation(self, k: int) -> int | None:
+        """None: it is assumed known."""
+        del k
+        return None
+
     def _step(self, frame: Frame) -> odometry.Step:
         return odometry.integrate(
             frame.odometry.twist, bias=self._problem.bias_mean, dt=frame.dt, noise=self._noise
         )
 
 
-def make(problem: Problem, *, between: bool = False) -> Motion:
-    """Model of motion that a problem asks for; ``between`` is that without a bias."""
+class WithPixelErrors:
+    """A model of motion, and the shared errors of the pixels, which are carried from frame to frame.
+
+    Parameters
+    ----------
+    motion : Motion
+    pixels : PixelErrors
+    """
+
+    def __init__(self, motion: Motion, pixels: PixelErrors) -> None:
+        self._motion, self.pixels = motion, pixels
+        self.information = motion.information
+        self.thresholds: Mapping[str, Array] = {**motion.thresholds, **PIXEL_ERRORS}
+
+    def factors(self, frame: Frame, before: Frame | None) -> Sequence[gtsam.NonlinearFactor]:
+        """Those of the motion, and priors and walks of the errors."""
+        return [*self._motion.factors(frame, before), *self.pixels.factors(frame)]
+
+    def predict(self, frame: Frame, pose: Array) -> Array:
+        """Predict by the motion."""
+        return self._motion.predict(frame, pose)
+
+    def insert(self, values: gtsam.Values, frame: Frame, pose: Array) -> None:
+        """Insert the calibrations as well."""
+        self._motion.insert(values, frame, pose)
+        self.pixels.insert(values, frame.k)
+
+    def keys(self, k: int) -> list[int]:
+        """Keys of a frame's own variables, its calibrations among them where they walk."""
+        return [*self._motion.keys(k), *(self.pixels.keys(k) if self.pixels.walks else [])]
+
+    def tied(self, k: int) -> list[int]:
+        """Keys that the factors of the next frame tie to."""
+        return [*self._motion.tied(k), *self.pixels.keys(k), *self.pixels.mountings()]
+
+    def read(self, engine: Engine, frame: Frame) -> None:
+        """Read the errors as well."""
+        self._motion.read(engine, frame)
+        left, right = (engine.calibration(key(frame.k)) for key in (self.pixels.left, self.pixels.right))
+        self.pixels.errors = CameraErrors.of(self.pixels.values(left, right))
+
+    def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
+        """Those of the motion, and the errors."""
+        found, keys = self._motion.states(engine, frame, with_sigma=with_sigma), self.pixels.keys(frame.k)
+        sigma = self.pixels.sigmas(engine.joint_covariance(keys)) if with_sigma else {}
+        for name, value in self.pixels.errors.values().items():
+            if name in self.pixels.names:
+                found[name] = State(value, sigma.get(name))
+        return found
+
+    def rotation(self, k: int) -> int | None:
+        """Key of the rotation of the cameras at a frame; None where it is known."""
+        return self._motion.rotation(k)
+
+
+def make(problem: Problem, options: SmootherOptions) -> Motion:
+    """Model of motion that a problem and the options ask for."""
+    if options.motion == "between":
+        return BetweenMotion(problem)
+    pixels = PixelErrors(problem.rig, problem.shared(), factorization=options.factorization)
+    return WithPixelErrors(_plain(problem), pixels) if pixels.names else _plain(problem)
+
+
+def _plain(problem: Problem) -> Motion:
+    """Model of motion alone."""
     if problem.imu is not None:
         return InertialMotion(problem)
-    if between:
-        return BetweenMotion(problem)
     return OdometryMotion(problem) if problem.noise.acceleration is None else SmoothMotion(problem)
 
 
@@ -355,26 +446,18 @@ def newest(motion: Motion, k: int) -> list[int]:
     return list(dict.fromkeys([*motion.keys(k), *motion.tied(k)]))
 
 
-def _constants(problem: Problem) -> dict[int, Array]:
-    """Prior standard deviations of what is constant all along, by its key, as far as it is not known."""
-    sigma = {CLOCK: np.array([problem.clock_sigma]), DIRECTION: np.full(2, problem.velocity_direction_sigma)}
-    return {key: spread for key, spread in sigma.items() if spread[0] > 0.0}
-
-
-def _first_pose(problem: Problem, height: Height) -> gtsam.NonlinearFactor:
-    sigma = height.first_pose_sigma(problem.first_pose_sigma)
-    return gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), _sigmas(sigma))
+def _first_pose(problem: Problem, height: Height, *, rotation: int | None = None) -> gtsam.NonlinearFactor:
+    """Prior of the first pose, which the rotation of the cameras turns where the world is the vertical's."""
+    sigma = _sigmas(height.first_pose_sigma(problem.first_pose_sigma))
+    if rotation is None or problem.vertical_velocity is None:
+        return gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), sigma)
+    at = gtsam.Values()
+    at.insert(X(0), gtsam.Pose3())
+    at.insert(rotation, np.zeros(3))
+    turned = np.concatenate([-np.eye(3), np.zeros((3, 3))])
+    spread = height.first_pose_sigma(problem.first_pose_sigma)
+    return linear_factor({X(0): np.eye(6), rotation: turned}, np.zeros(6), spread, at=at)
 
 
 def _sigmas(sigma: Any) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(sigma, float))
-
-
-def _linear(terms: Mapping[int, Array], right: Array, sigma: Array) -> gtsam.NonlinearFactor:
-    """Linear factor of vector variables: ``sum_i A_i x_i = right`` within ``sigma (m,)``."""
-    values = gtsam.Values()
-    for key, matrix in terms.items():
-        values.insert(key, np.zeros(matrix.shape[1]))
-    blocks = [part for term in terms.items() for part in term]
-    linear: Any = gtsam.JacobianFactor
-    return gtsam.LinearContainerFactor(linear(*blocks, right, _sigmas(sigma)), values)

@@ -56,7 +56,7 @@ def restarted(
 
 def _inertial_path(drive: Drive, problem: Problem, options: SmootherOptions) -> gtsam.Values:
     """First values of all variables: poses by the twist alone, each landmark by its first view from there."""
-    model, values = motion.make(problem, between=options.motion == "between"), gtsam.Values()
+    model, values = motion.make(problem, options), gtsam.Values()
     poses, pose = [], np.eye(4)
     for frame in drive.frames:
         pose = model.predict(frame, pose)
@@ -65,5 +65,6 @@ def _inertial_path(drive: Drive, problem: Problem, options: SmootherOptions) -> 
     for track in drive.tracks:
         view = track.views[0]
         world_T_cam = poses[view.k] @ drive.rig.imu_T_cam
-        values.insert(track.key, se3.transform(world_T_cam, drive.rig.back_project(view.z)[None])[0])
+        z = drive.stereo.errors.mended(view.z, drive.rig)
+        values.insert(track.key, se3.transform(world_T_cam, drive.rig.back_project(z)[None])[0])
     return values

@@ -16,7 +16,7 @@ from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
-from vislam.estimators.smoother.world import ReportedWorld
+from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.geometry import se3
 from vislam.models import StereoRig
 
@@ -67,6 +67,7 @@ class Solver:
         """Make landmarks of the waiting tracks whose depth has become clear, and return them."""
         return self.tracks.start(
             self._rig,
+            self._stereo.errors,
             self.poses,
             clear=self._options.initialisation_snr,
             most=self._options.max_pending_observations,
@@ -84,24 +85,37 @@ class Solver:
         """Read the poses that the update with this frame will marginalise."""
         if self._options.lag_s is not None:
             for k in range(len(self.left), min(self.held().start, frame.k)):
-                self.left.append(self.reported(self.engine.pose(X(k))))
+                self.left.append(self.reported(k))
 
-    def first(self) -> Array:
-        """First pose ``(4, 4)`` in the graph's world, by which poses are reported."""
-        return self.engine.pose(X(0)) if self._world.tilted else np.eye(4)
+    def origin(self) -> Origin:
+        """What poses are reported by, as known now."""
+        pose = self.engine.pose(X(0)) if self._world.tilted else np.eye(4)
+        return Origin(pose, self.rotation(0))
 
-    def reported(self, poses: Array) -> Array:
-        """Poses ``(..., 4, 4)`` in the world that is reported, by the first pose as known now."""
-        return self._world.poses(self.first(), poses)
+    def rotation(self, k: int) -> Array:
+        """Rotation ``(3,)`` of the cameras at a frame, 0 where it is known."""
+        key = self._motion.rotation(k)
+        return np.zeros(3) if key is None else self.engine.vector(key)
+
+    def reported(self, k: int) -> Array:
+        """Pose ``(4, 4)`` of a frame in the world that is reported, as known now."""
+        return self._world.poses(self.origin(), self.engine.pose(X(k)), self.rotation(k))
 
     def covariance(self, k: int) -> Array:
         """Covariance ``(6, 6)`` of the pose of a frame in the world that is reported."""
-        if not self._world.tilted:
+        if not self._world.own:
             return self.engine.covariance(X(k))
-        joint = self.engine.joint_covariance(X(0), X(k))
-        pose = self.reported(self.engine.pose(X(k)))
-        own, cross = joint[None, 6:, 6:], joint[None, 6:, :6]
-        return np.asarray(self._world.pose_covariances(pose[None], own, cross, joint[:6, :6])[0])
+        shared = shared_keys(self._world, self._motion, k)
+        if k == 0 and self._world.tilted:
+            # Known by its prior, whatever the tilt.
+            joint = self.engine.joint_covariance(shared)
+            joint = joint[np.ix_(*[np.r_[: len(joint), :6]] * 2)]
+        else:
+            joint = self.engine.joint_covariance([*shared, X(k)])
+        known = GraphCovariances(joint[None, -6:, -6:], joint[None, -6:, :-6], joint[:-6, :-6])
+        pose, rotation = self.engine.pose(X(k))[None], self.rotation(k)[None]
+        found = self._world.pose_covariances(self.origin(), pose, rotation, known)
+        return np.asarray(found[0])
 
     def update(
         self,
@@ -273,8 +287,9 @@ class Solver:
         return list(dict.fromkeys([*newest(self._motion, frame.k), *self._always()]))
 
     def _always(self) -> list[int]:
-        """Keys that are always held and solved: the first pose, by which poses are reported."""
-        return [X(0)] if self._world.tilted else []
+        """Keys that are always held and solved: those of the first frame by which poses are reported."""
+        first = self._motion.rotation(0)
+        return [*([X(0)] if self._world.tilted else []), *([] if first is None else [first])]
 
     def _all_stamps(self, frame: Frame) -> dict[int, float]:
         """Time of all variables of the frames and tracks that are held."""
@@ -296,6 +311,15 @@ class Solver:
         rig = self._rig
         depth = se3.transform(rig.cam_T_imu @ se3.inverse(world_T_imu), points)[..., 2]
         return (depth > rig.nearest) & (depth < rig.fx * rig.baseline / self._options.min_disparity_px)
+
+
+def shared_keys(world: ReportedWorld, motion: Motion, k: int) -> list[int]:
+    """Keys of the errors that the covariance of a frame's reported pose shares with those of others."""
+    found = [X(0)] if world.tilted else []
+    for key in (motion.rotation(0), motion.rotation(k)):
+        if key is not None and key not in found:
+            found.append(key)
+    return found
 
 
 def _place(owners: Sequence[Track], slots: Sequence[int]) -> None:

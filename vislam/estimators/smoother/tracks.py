@@ -9,7 +9,7 @@ from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.keys import landmark
 from vislam.estimators.smoother.starting import Start, starts
-from vislam.models import StereoRig
+from vislam.models import CameraErrors, StereoRig
 
 _CHUNK = 512
 """Tracks that are triangulated together."""
@@ -133,7 +133,14 @@ class Tracks:
             self.waiting[track.id] = Track(track.id)
 
     def start(
-        self, rig: StereoRig, poses: Sequence[Array], *, clear: float, most: int, oldest: int
+        self,
+        rig: StereoRig,
+        errors: CameraErrors,
+        poses: Sequence[Array],
+        *,
+        clear: float,
+        most: int,
+        oldest: int,
     ) -> list[Track]:
         """Make landmarks of those waiting tracks whose depth has become clear, and return them.
 
@@ -143,6 +150,8 @@ class Tracks:
         Parameters
         ----------
         rig : StereoRig
+        errors : CameraErrors
+            Shared errors of the pixels as known now.
         poses : sequence of (4, 4)
             Poses of all frames so far, the newest a prediction.
         clear : float
@@ -162,11 +171,11 @@ class Tracks:
         if not candidates:
             return []
         newest = len(poses) - 1
-        found = locate(rig, candidates, poses, clear=clear, predicted=newest)
+        found = locate(rig, errors, candidates, poses, clear=clear, predicted=newest)
         rest = np.flatnonzero(~found.ready)
         if len(rest):
             waiting = [candidates[index] for index in rest]
-            without = locate(rig, waiting, poses, clear=clear, predicted=newest, fitted=False)
+            without = locate(rig, errors, waiting, poses, clear=clear, predicted=newest, fitted=False)
             found = found.with_ready(rest, without)
         started = []
         self._frames_without = 0 if self.in_view or found.ready.any() else self._frames_without + 1
@@ -197,6 +206,7 @@ class Tracks:
 
 def locate(
     rig: StereoRig,
+    errors: CameraErrors,
     tracks: Sequence[Track],
     poses: Sequence[Array],
     *,
@@ -209,6 +219,8 @@ def locate(
     Parameters
     ----------
     rig : StereoRig
+    errors : CameraErrors
+        Shared errors of the pixels.
     tracks : sequence of Track
     poses : sequence of (4, 4)
         ``poses[k]`` is that of frame k.
@@ -239,6 +251,7 @@ def locate(
         judged = at & (frames != predicted)
         if not fitted:
             sigma[~judged & (np.arange(most) > 0)] = np.inf
+        z = errors.mended(z, rig)
         parts.append(starts(rig, near[frames - first], z, sigma, clear=clear, judged=judged))
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
