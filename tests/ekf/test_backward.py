@@ -8,7 +8,6 @@ import pytest
 
 from tests.conftest import plain_motion, recorded
 from vislam.base.types import Array
-from vislam.calibration.likelihood import first_frames
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import Config, load
 from vislam.comparison.open import Dataset, open_dataset
@@ -137,7 +136,7 @@ def test_it_is_exact_on_the_recording(options):
     """The first 100 frames of 03.npz, one track in eight, so that the dense filter can keep them all."""
     config = plain_motion(load(CONFIGS / "ds3.yaml"))
     dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_substitute=False)
-    sequence = first_frames(dataset.sequence, 100)
+    sequence = dataset.sequence.first(100)
     dataset = replace(dataset, sequence=sequence.select(sequence.track % 8 == 0))
     smoothed, dense, _ = both(dataset, config, **options)
     assert len(dense.track) > 100

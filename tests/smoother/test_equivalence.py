@@ -9,7 +9,6 @@ from scipy.optimize import least_squares
 
 from tests.conftest import recorded
 from tests.smoother.drives import drive, filtered, gap, member
-from vislam.calibration.likelihood import first_frames
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import load
 from vislam.comparison.open import open_dataset
@@ -36,7 +35,7 @@ def test_isam2_that_relinearises_to_the_end_equals_batch():
 def test_isam2_that_relinearises_to_the_end_equals_batch_on_the_recording():
     config = load(CONFIGS / "ds3.yaml")
     dataset = open_dataset(config.data, seed=0, data_dir=recorded("03.npz").parent, allow_substitute=False)
-    dataset = replace(dataset, sequence=first_frames(dataset.sequence, 300))
+    dataset = replace(dataset, sequence=dataset.sequence.first(300))
     incremental = member("isam2", config, dataset, final_iterations=20)
     batch = member("batch", config, dataset)
     assert incremental.complete

@@ -8,7 +8,6 @@ import pytest
 from tests.conftest import from_first
 from tests.smoother import drives
 from tests.smoother.drives import ate, drive, member
-from vislam.calibration.likelihood import first_frames
 from vislam.comparison.config import KernelConfig
 from vislam.repair.tracks import Interruptions
 
@@ -53,7 +52,7 @@ def test_wrong_associations_do_not_end_the_run(name, share):
 def test_a_lag_outlives_what_was_set_aside_and_stays_in_its_marginals(seed, share, lag, frames):
     """Drives in which a landmark broke the step and was no longer in any factor but a marginal."""
     config, dataset = drive(seed=seed, frames=120, tracks_in_view=25, outlier_probability=share)
-    dataset = replace(dataset, sequence=first_frames(dataset.sequence, frames))
+    dataset = replace(dataset, sequence=dataset.sequence.first(frames))
     run = member(
         "fixed_lag",
         config,
