@@ -9,12 +9,14 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.calibration.cross_validation import FOLDS, Predicted, block_of, left_out, predicted
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.parameters import Parameter, largest_of, lowest_of
+from vislam.calibration.parameters import Parameter, largest_of, lowest_of, scaled
 from vislam.calibration.search import Maximum
 from vislam.calibration.shared import without_shared
-from vislam.calibration.trial import Trial, objections, trial
+from vislam.calibration.trial import CLAIMED, Trial, objections, trial
 from vislam.comparison.config import Config
 
+_RAISINGS = 3
+"""How often the pixel noise is raised at most."""
 TOO_SHORT = "too short to be cross-validated"
 
 
@@ -28,6 +30,8 @@ class Candidate:
     config : Config
     predicted : Predicted or None
         Blocks that were left out; None where the recording is too short for them.
+    raised : float
+        Factor of its pixel noise over what was fitted, so that it claims no more than it shows.
     trial, before : Trial
         The smoothed filter with it, and with the config from before.
     elsewhere : dict of str to float
@@ -39,6 +43,7 @@ class Candidate:
     name: str
     config: Config
     predicted: Predicted | None
+    raised: float
     trial: Trial
     before: Trial
     elsewhere: dict[str, float]
@@ -63,7 +68,6 @@ def score_candidates(
     also: Items[Evaluator],
     *,
     folds: list[Config],
-    chosen: list[Parameter],
     usable: BoolArray,
 ) -> list[Candidate]:
     """Score them.
@@ -78,29 +82,52 @@ def score_candidates(
         Of other recordings.
     folds : list of Config
         Config of the maximum without each fold; what else a candidate has is added. Empty: too short.
-    chosen : list of Parameter
-        What was searched.
     usable : (n,)
         Observations that neither gate has rejected.
     """
     block = block_of(len(evaluator.dataset.sequence))
-    trials = [trial(config, evaluator) for config in (before, *candidates.values())]
-    jobs = [before, *(_with_noise_of(fold, one) for one in candidates.values() for fold in folds)]
+    first = trial(before, evaluator)
+    fitted = [_as_shown(config, first, evaluator) for config in candidates.values()]
+    jobs = [
+        before,
+        *(scaled(_with_noise_of(fold, one.config), one.scale) for one in fitted for fold in folds),
+    ]
     values = evaluator.log_likelihoods(jobs, usable=usable) if folds else []
     scored = []
-    for index, (name, config) in enumerate(candidates.items()):
+    for index, (name, one) in enumerate(zip(candidates, fitted, strict=True)):
         parts = values[1 + index * FOLDS : 1 + (index + 1) * FOLDS]
         gained = predicted(values[0], parts, block) if folds else None
         elsewhere = {
-            other.dataset.sequence.name: _gain_elsewhere(other, before, config, chosen) for other in also
+            other.dataset.sequence.name: _gain_elsewhere(other, before, one.config) for other in also
         }
         reasons = [*_predicts_worse(gained, elsewhere)]
         sequence = evaluator.dataset.sequence
-        reasons += objections(trials[index + 1], trials[0], sequence=sequence, config=before)
+        reasons += objections(one.trial, first, sequence=sequence, config=before)
         scored.append(
-            Candidate(name, config, gained, trials[index + 1], trials[0], elsewhere, tuple(reasons))
+            Candidate(name, one.config, gained, one.scale, one.trial, first, elsewhere, tuple(reasons))
         )
     return scored
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A config whose pixel noise was scaled, its trial, and the factor."""
+
+    config: Config
+    trial: Trial
+    scale: float
+
+
+def _as_shown(config: Config, before: Trial, evaluator: Evaluator) -> _Fitted:
+    """Config whose pixel noise is raised until its covariances claim no more than it shows."""
+    found, scale = trial(config, evaluator), 1.0
+    for _ in range(_RAISINGS):
+        more = found.overclaim(before)
+        if more <= CLAIMED:
+            break
+        scale, config = scale * more, scaled(config, more)
+        found = trial(config, evaluator)
+    return _Fitted(config, found, scale)
 
 
 def chosen_of(candidates: list[Candidate]) -> Candidate | None:
@@ -127,7 +154,7 @@ def _with_noise_of(fold: Config, candidate: Config) -> Config:
     return replace(fold, noise=replace(fold.noise, bias_mean=own.bias_mean, bias_sigma=own.bias_sigma))
 
 
-def _gain_elsewhere(other: Evaluator, before: Config, after: Config, chosen: list[Parameter]) -> float:
+def _gain_elsewhere(other: Evaluator, before: Config, after: Config) -> float:
     """Log likelihood that another recording gains, over the observations that both gates keep."""
     first, second = other.run(before), other.run(after)
     if not (first.complete and second.complete):

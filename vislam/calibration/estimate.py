@@ -14,7 +14,7 @@ from vislam.base.workers import Workers
 from vislam.calibration.candidates import Candidate, chosen_of, left_out_points, score_candidates
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import MatchingBias, matching_bias
-from vislam.calibration.parameters import MATCH, Parameter, largest_of, lowest_of
+from vislam.calibration.parameters import MATCH, Parameter, largest_of, lowest_of, scaled
 from vislam.calibration.search import ROUNDS, Maximum, Round, maximise
 from vislam.calibration.shared import SharedError, shared_errors, with_priors, with_shared, without_shared
 from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
@@ -215,7 +215,7 @@ def _calibrate(
     }
     reporter.say("scored on parts of the recording that were not fitted")
     folds = [
-        _scaled(_at(searched.config, chosen, point), scale)
+        scaled(_at(searched.config, chosen, point), scale)
         for point in left_out_points(searched.maximum, len(before.stamp), chosen)
     ]
     scored = score_candidates(
@@ -224,7 +224,6 @@ def _calibrate(
         evaluator,
         also,
         folds=folds,
-        chosen=chosen,
         usable=~(before.gated | run.gated),
     )
     best = chosen_of(scored)
@@ -325,20 +324,10 @@ def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporte
         if ratio - 1.0 < _LEVEL:
             break
         scale = float(np.sqrt(ratio))
-        config = _scaled(config, scale)
+        config = scaled(config, scale)
         run = _finished(evaluator.run(config))
         reporter.say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
     return config, run
-
-
-def _scaled(config: Config, scale: float) -> Config:
-    """Config with another pixel noise, white and drift alike."""
-    noise = replace(
-        config.noise,
-        pixel_sigma_px=config.noise.pixel_sigma_px * scale,
-        drift_px=config.noise.drift_px * scale,
-    )
-    return replace(config, noise=noise)
 
 
 def _steady(config: Config, evaluator: Evaluator, run: Run) -> Run:

@@ -175,3 +175,13 @@ def lowest_of(items: list[Parameter]) -> Array:
 def largest_of(items: list[Parameter]) -> Array:
     """Largest move ``(p,)`` of each at once, in the searched scale."""
     return np.array([_LARGEST_LOG if item.logarithmic else _LARGEST_STEPS * item.step for item in items])
+
+
+def scaled(config: Config, scale: float) -> Config:
+    """Config with another pixel noise, white and drift alike."""
+    noise = replace(
+        config.noise,
+        pixel_sigma_px=config.noise.pixel_sigma_px * scale,
+        drift_px=config.noise.drift_px * scale,
+    )
+    return replace(config, noise=noise)

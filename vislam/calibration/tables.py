@@ -79,6 +79,9 @@ def _changes(result: Calibration) -> list[list[str]]:
         ],
         ["path over inertial path", _plain(first.path), *(_plain(one.trial.path) for one in every)],
     ]
+    rows.append(
+        ["standard deviations too small by", "1", *(f"{one.trial.overclaim(first):.2f}" for one in every)]
+    )
     rows += [
         [f"log likelihood gained on {name}", "0", *(f"{one.elsewhere[name]:.1f}" for one in every)]
         for name in every[0].elsewhere

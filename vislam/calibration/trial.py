@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.types import Array
 from vislam.calibration.likelihood import Evaluator
 from vislam.comparison.config import Config
 from vislam.core.sequence import Sequence
@@ -11,6 +12,8 @@ from vislam.evaluation.held_out import HeldOut, HeldOutScore, paired, score
 
 _MORE, _FARTHER = 1.02, 1.1
 """Factors by which the median error of held-out tracks may rise, and the distance from the inertial path."""
+CLAIMED = 1.05
+"""Factor by which standard deviations may be smaller than what is shown: a tenth in the NEES."""
 
 
 @dataclass(frozen=True)
@@ -23,22 +26,35 @@ class Trial:
         None where no track is held out, or the run did not finish.
     path : float
         Length of its path over that of the inertial data alone; NaN where that stands still.
+    sigma : (2,)
+        RMS standard deviation of its rotations and of its positions [rad, m]; NaN without covariances.
     """
 
     held_out: HeldOutScore | None
     path: float
+    sigma: Array
 
     @property
     def held_out_px(self) -> float:
         """Median error of the held-out tracks [px]; NaN if there are none."""
         return float("nan") if self.held_out is None else self.held_out.median
 
+    def overclaim(self, before: "Trial") -> float:
+        """How much more its covariances claim than it shows, against a trial before; 1 if nothing.
+
+        Its standard deviations may be smaller in proportion to its error on held-out tracks: with less, what
+        both are off by is more of them than before. Innovations cannot tell, as errors that all tracks share
+        are in both sides of them.
+        """
+        shown, claimed = self.held_out_px / before.held_out_px, float(np.min(self.sigma / before.sigma))
+        return shown / claimed if np.isfinite(shown) and np.isfinite(claimed) and claimed > 0.0 else 1.0
+
 
 def trial(config: Config, evaluator: Evaluator) -> Trial:
     """Run the smoothed filter on the evaluator's sequence."""
     dataset, run = evaluator.smoothed(config)
     if not run.complete or run.smoothed is None:
-        return Trial(None, float("nan"))
+        return Trial(None, float("nan"), np.full(2, np.nan))
     poses = run.smoothed.world_T_imu
     length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
     inertial = inertial_length(dataset.sequence)
@@ -47,7 +63,16 @@ def trial(config: Config, evaluator: Evaluator) -> Trial:
     if held is not None and held.observations:
         scored = score(HeldOut.of(held, np.ones(held.observations, dtype=bool)), poses)
         scored = scored if len(scored.track) else None
-    return Trial(scored, length / inertial if inertial > 0.0 else float("nan"))
+    path = length / inertial if inertial > 0.0 else float("nan")
+    return Trial(scored, path, _sigmas(run.smoothed.cov))
+
+
+def _sigmas(cov: Array | None) -> Array:
+    """RMS standard deviations ``(2,)`` of rotation and position over the frames."""
+    if cov is None:
+        return np.full(2, np.nan)
+    variance = np.diagonal(cov, axis1=1, axis2=2)
+    return np.sqrt([np.nanmean(variance[:, :3]), np.nanmean(variance[:, 3:])])
 
 
 def inertial_length(sequence: Sequence) -> float:
@@ -77,6 +102,11 @@ def objections(after: Trial, before: Trial, *, sequence: Sequence, config: Confi
                 f"held-out tracks are predicted worse: {before.held_out.median:.3f} px before, "
                 f"{after.held_out.median:.3f} px"
             )
+    if (more := after.overclaim(before)) > CLAIMED:
+        found.append(
+            f"its standard deviations are {more:.2f} times too small for what held-out tracks show, taken "
+            "those before for right"
+        )
     duration = float(sequence.stamp[-1] - sequence.stamp[0])
     allowed = config.noise.bias_sigma[3] * duration / max(inertial_length(sequence), 1e-9)
     off, was = (abs(one.path - 1.0) for one in (after, before))
