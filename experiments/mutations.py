@@ -31,8 +31,41 @@ FILTER = "vislam/estimators/ekf/filter.py"
 ODOMETRY = "vislam/models/odometry.py"
 STEREO = "vislam/models/stereo.py"
 EKF, SMOOTHER, SCORES = ("tests/ekf",), ("tests/smoother",), ("tests/evaluation",)
+INERTIAL = (
+    "tests/ekf/test_inertial.py",
+    "tests/smoother/test_inertial.py",
+    "tests/sensors/test_preintegration.py",
+)
 MODELS = ("tests/sensors", "tests/ekf", "tests/geometry")
 MUTATIONS = (
+    Mutation(
+        "a velocity that does not turn with the world",
+        "vislam/estimators/ekf/layout.py",
+        "= -so3.hat(nav[self[VELOCITY]])",
+        "= so3.hat(nav[self[VELOCITY]])",
+        INERTIAL,
+    ),
+    Mutation(
+        "bias walk and motion of a step uncorrelated",
+        "vislam/models/preintegration.py",
+        'out[MOTION, BIASES] = -np.einsum("nij,nj->ij", later, walk)',
+        "out[MOTION, BIASES] = 0.0",
+        INERTIAL,
+    ),
+    Mutation(
+        "gravity that pulls up",
+        "vislam/models/imu.py",
+        "np.array([0.0, 0.0, -self.gravity])",
+        "np.array([0.0, 0.0, self.gravity])",
+        INERTIAL,
+    ),
+    Mutation(
+        "covariance of a gap with the gyro's bias in front of the accelerometer's",
+        "vislam/estimators/smoother/inertial.py",
+        "turn[9:, 9:][:, _GTSAM_ORDER] = np.eye(6)",
+        "turn[9:, 9:] = np.eye(6)",
+        INERTIAL,
+    ),
     Mutation(
         "gates_from ignored",
         "vislam/comparison/running.py",
