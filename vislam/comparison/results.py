@@ -22,6 +22,7 @@ from vislam.evaluation import Evaluation, evaluate
 from vislam.evaluation.attribution import AblationStep, attribute
 from vislam.evaluation.information import SharedInformation, shared_information, unequal_line
 from vislam.evaluation.metric import ESTIMATE_TITLES
+from vislam.evaluation.shared_errors import estimated_errors
 from vislam.evaluation.spread import Spread
 from vislam.report.figures import all_figures
 from vislam.report.noticed import noticed_lines, read_lines
@@ -255,6 +256,7 @@ def metrics_document(
             for name, run in results.runs.items()
         },
         "robustness": None if results.spread is None else results.spread.record(),
+        "shared_errors": [item.record() for item in estimated_errors(results.runs)],
         "equal_information": [item.record() for item in results.shared_information()],
         "elsewhere": {
             name: {"told": list(one.told), "noticed": list(one.noticed)} for name, one in results.own.items()

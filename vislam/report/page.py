@@ -35,6 +35,7 @@ from vislam.report.page_tables import (
     maps_table,
     pairs_table,
     repairs_table,
+    shared_errors_table,
     smoothing_table,
     worst_table,
 )
@@ -126,6 +127,7 @@ def write_page(path: Path, content: Content) -> None:
         maps=maps_table(evaluation),
         worst=worst_table(evaluation),
         lags=lags_table(evaluation),
+        shared=shared_errors_table(runs),
         figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in content.figures.items()],
         wide=WIDE,
         travelled=htmlsafe_json_dumps(_abscissa(*content.travelled)),

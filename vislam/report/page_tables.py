@@ -12,6 +12,7 @@ from vislam.evaluation.difference import ErrorDifference
 from vislam.evaluation.evaluate import mean_step_ms
 from vislam.evaluation.metric import LAG_METRICS, METRICS, is_error
 from vislam.evaluation.scores import EstimatePair
+from vislam.evaluation.shared_errors import estimated_errors
 from vislam.evaluation.smoothing import SmoothingDifference
 from vislam.evaluation.trajectory import Statistics
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
@@ -207,6 +208,16 @@ def lags_table(evaluation: Evaluation) -> Table:
             rows.append([name, lag.label, seconds, *told, "-" if step is None else f"{step:.1f}"])
     header = ["estimator", "lag [frames]", "lag [s]", *(spec.short_label for spec in specs)]
     return Table([*header, "mean step time, all lags read [ms]"], rows)
+
+
+def shared_errors_table(runs: Mapping[str, Run]) -> Table:
+    """A row for each component of an error that all tracks share, as each run has estimated it."""
+    rows = []
+    for one in estimated_errors(runs):
+        for index, (value, sigma) in enumerate(zip(one.value, one.sigma, strict=True)):
+            name = one.name.replace("_", " ") + (f" {index + 1}" if len(one.value) > 1 else "")
+            rows.append([one.run, name, one.unit, f"{value:.3g}", _number(sigma, ".2g")])
+    return Table(["estimator", "error that all tracks share", "unit", "estimate", "sigma"], rows)
 
 
 def worst_table(evaluation: Evaluation) -> Table:
