@@ -263,9 +263,9 @@ class Drive:
         firsts, mixed = mixed[: len(shared)], mixed[len(shared) :]
         return GraphMarginals(
             poses=np.array(own[:count]),
-            points=np.array(own[count:]).reshape(-1, 3, 3),
+            points=np.array(own[count:]).reshape(len(points), 3, 3),
             poses_shared=np.array(mixed[:count]).reshape(count, 6, size),
-            points_shared=np.array(mixed[count:]).reshape(-1, 3, size),
+            points_shared=np.array(mixed[count:]).reshape(len(points), 3, size),
             shared=np.concatenate(firsts) if firsts else np.zeros((0, 0)),
         )
 
