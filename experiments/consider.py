@@ -179,7 +179,7 @@ def page(recorded: Rows, drawn: Rows, machine: str) -> str:
         "Each cell is `own / considered / sandwich`; gap and coverage are of the pose, on `03` of the planar",
         "position. Expected are NEES 1, gap 1, coverage 0.90. Cost is the time of the further runs over that",
         "of the run, and how many they are.",
-        "`ekf_invariant` is `eks`, causal.",
+        "`ekf_invariant` is `eks`, causal. A dash: no covariance, or not run.",
         "",
         *table(recorded),
         "",
