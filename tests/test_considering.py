@@ -8,6 +8,7 @@ import pytest
 from tests import linear_filter
 from tests.linear_filter import METRES_PER_PX, variance_of
 from vislam.base.errors import ConfigError
+from vislam.base.files import save_archive
 from vislam.base.progress import Silent
 from vislam.comparison.compare import prepare, run_comparison
 from vislam.comparison.config import (
@@ -20,6 +21,7 @@ from vislam.comparison.config import (
 )
 from vislam.comparison.considering import wanted
 from vislam.comparison.open import open_dataset
+from vislam.core.archive import _taken_apart
 from vislam.core.run import Run
 from vislam.core.shared_errors import moved
 from vislam.evaluation import evaluate
@@ -184,6 +186,18 @@ def test_changes_are_saved_with_the_run(results, tmp_path):
             assert one.cause == other.cause
             assert np.array_equal(one.filtered, other.filtered)
             assert (one.smoothed is None) == (other.smoothed is None)
+
+
+def test_a_run_that_was_saved_before_there_was_any_of_it_can_be_read(results, tmp_path):
+    arrays = {}
+    plain = _taken_apart(replace(results.runs["mine"], considered=None, sandwich=None), arrays, at="")
+    for name in ("considered", "sandwich", "lagged"):
+        assert plain.pop(name) is None
+    save_archive(tmp_path / "run.npz", plain, arrays)
+    found = Run.load(tmp_path / "run.npz")
+    assert found.beside == ()
+    assert found.lagged is None
+    assert np.array_equal(found.filtered.cov, results.runs["mine"].filtered.cov)
 
 
 def test_scores_are_by_each_of_the_covariances(results):

@@ -130,9 +130,14 @@ class _Reader:
         self._table = dict(_expanded(self._written, plain))
         self._refuse_unknown(plain)
         values, packed = Tree(), dict[str, PackedArray]()
+        absent: tuple[str, ...] = ()
         for name, item in self._table.items():
             found = _look_up(plain, name)
-            if found is _BELOW_NULL:
+            if found is _BELOW_NULL or name.startswith(absent):
+                continue
+            if found is _MISSING and isinstance(item, Section) and item.later:
+                # Of a section that an older version did not write there are no fields either.
+                absent = (*absent, f"{name}.")
                 continue
             if isinstance(item, Numbers) and name in self._names and found in (_MISSING, {"array": name}):
                 packed[name] = self._header(name, item)
