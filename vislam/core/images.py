@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.imu import ImuSeries
+from vislam.models.imu import ImuNoise
 from vislam.models.stereo_pair import StereoPair
 
 
@@ -38,6 +40,8 @@ class RawImage:
     big_endian: bool = False
 
 
+_FEWEST = 2
+"""Samples of a series."""
 Content = bytes | RawImage
 """What is stored of an image: the bytes of an image file, or pixels."""
 
@@ -76,12 +80,15 @@ class Inertia:
         Velocity as an inertial system gives it, body frame [m/s].
     accelerometer : (S, 3) or None
         Specific force, body frame [m/s^2].
+    noise : ImuNoise or None
+        As the recording's own files state it, which is mostly a data sheet.
     """
 
     stamp: Array
     gyro: Array
     velocity: Array | None = None
     accelerometer: Array | None = None
+    noise: ImuNoise | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -89,6 +96,13 @@ class Inertia:
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
+
+    @property
+    def series(self) -> ImuSeries | None:
+        """Samples of gyro and accelerometer; None without the latter, or with a single sample."""
+        if self.accelerometer is None or len(self.stamp) < _FEWEST:
+            return None
+        return ImuSeries.of(self.stamp, self.gyro, self.accelerometer)
 
 
 @dataclass(frozen=True)

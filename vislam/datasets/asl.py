@@ -6,16 +6,18 @@ file name or numbers) and ``sensor.yaml`` (Burri et al., *The EuRoC micro aerial
 below the folder takes its place.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.core.images import ImageRecording, Inertia, ReferenceFile
-from vislam.datasets.calibration_yaml import Camchain, imu_in_body, read_camchain, read_sensor
+from vislam.datasets.calibration_yaml import Camchain, imu_in_body, imu_noise, read_camchain, read_sensor
 from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
 from vislam.datasets.inertial_table import inertia_of
 from vislam.datasets.text import read_lines, read_table
+from vislam.models.imu import ImuNoise
 
 _REFERENCES = (
     ("state_groundtruth_estimate0/data.csv", "euroc"),
@@ -104,7 +106,17 @@ def cameras_of(mav0: Path) -> Camchain:
 def _inertia(folder: Path, chain: Camchain) -> tuple[Inertia | None, dict[str, int]]:
     """Gyro and accelerometer, sorted, one sample a stamp; None if their mounting is not known."""
     table, _ = read_table(folder / "data.csv", columns=7, more=True, comma=True)
-    return inertia_of(table, chain, where=folder / "data.csv")
+    inertia, counts = inertia_of(table, chain, where=folder / "data.csv")
+    noise = None if inertia is None else _noise(folder)
+    return inertia if inertia is None else replace(inertia, noise=noise), counts
+
+
+def _noise(folder: Path) -> ImuNoise | None:
+    """As ``sensor.yaml`` has it; without one, a Kalibr ``imu*.yaml`` where a ``camchain*.yaml`` could be."""
+    mav0 = folder.parent
+    places = [(place, name) for place in (mav0, mav0.parent) for name in ("imu*.yaml", "*/imu*.yaml")]
+    found = [folder / "sensor.yaml", *(one for place, name in places for one in sorted(place.glob(name)))]
+    return next((noise for path in found if path.is_file() and (noise := imu_noise(path))), None)
 
 
 def _reference(mav0: Path) -> ReferenceFile | None:

@@ -12,6 +12,7 @@ from vislam.base.types import Array
 from vislam.base.yaml_text import MOST_CHARACTERS, parse_yaml
 from vislam.geometry import se3, so3
 from vislam.models.camera import Camera, Lens
+from vislam.models.imu import ImuNoise
 from vislam.models.stereo_pair import StereoPair, rectified
 
 _LENSES = {
@@ -26,6 +27,13 @@ _LENSES = {
 _ROTATION_TOLERANCE = 1e-3
 _LARGEST_IMAGE = 1 << 15
 _HEADER = "%YAML"
+_NOISE = (
+    "gyroscope_noise_density",
+    "accelerometer_noise_density",
+    "gyroscope_random_walk",
+    "accelerometer_random_walk",
+)
+"""In the order of ImuNoise."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +122,25 @@ def imu_in_body(path: Path) -> Array:
     """Pose of the inertial sensor in the body, ``(4, 4)``; the identity if ``sensor.yaml`` has none."""
     tree = read_mapping(path)
     return _body_T_sensor(path, tree) if "T_BS" in tree else np.eye(4)
+
+
+def imu_noise(path: Path) -> ImuNoise | None:
+    """Noise of the inertial sensor by ``sensor.yaml`` or Kalibr's ``imu.yaml``; None without all four.
+
+    Both have the same keys, ``gyroscope_noise_density`` [rad/s/sqrt(Hz)], ``gyroscope_random_walk``
+    [rad/s^2/sqrt(Hz)], ``accelerometer_noise_density`` [m/s^2/sqrt(Hz)] and ``accelerometer_random_walk``
+    [m/s^3/sqrt(Hz)], Kalibr also in a mapping ``imu0`` of its own.
+    """
+    tree = read_mapping(path)
+    inner = tree.get("imu0")
+    tree = inner if isinstance(inner, dict) else tree
+    if not all(key in tree for key in _NOISE):
+        return None
+    values = [_number(tree[key]) for key in _NOISE]
+    for key, value in zip(_NOISE, values, strict=True):
+        if not 0.0 < value < np.inf:
+            raise DataError(f"{path}: {key} must be a number > 0, got {brief(str(tree[key]))}")
+    return ImuNoise(*values)
 
 
 def read_camchain(path: Path) -> Camchain:

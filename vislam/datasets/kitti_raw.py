@@ -15,7 +15,7 @@ from vislam.base.types import Array
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
 from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
 from vislam.datasets.kitti_calibration import matrix_of, numbered, read_calibration, rotation_of
-from vislam.datasets.oxts import read_oxts, read_timestamps
+from vislam.datasets.oxts import ACCELEROMETER, GYRO, read_oxts, read_timestamps
 from vislam.datasets.oxts_poses import oxts_poses
 from vislam.geometry import se3
 from vislam.models.camera import Camera, Lens
@@ -134,5 +134,5 @@ def _oxts(folder: Path, stamp: Array) -> tuple[Inertia, StampedPoses, dict[str, 
     _, first = np.unique(stamp_ns, return_index=True)
     at, table = np.asarray(stamp_ns[first] * NANOSECONDS, dtype=np.float64), table[first]
     counts = {"inertial_samples": len(at), "inertial_duplicates": len(stamp_ns) - len(at)}
-    inertia = Inertia(at, table[:, 17:20], velocity=table[:, 8:11], accelerometer=table[:, 11:14])
+    inertia = Inertia(at, table[:, GYRO], velocity=table[:, 8:11], accelerometer=table[:, ACCELEROMETER])
     return inertia, oxts_poses(at, table, stamp), counts

@@ -17,12 +17,15 @@ import numpy as np
 
 from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
+from vislam.core.imu import ImuSeries
 from vislam.core.sequence import Sequence
 from vislam.datasets.text import read_lines, read_table
 
 _COLUMNS = 30
 _TWIST = [17, 18, 19, 8, 9, 10]
 """Columns of (omega, v)."""
+GYRO, ACCELEROMETER = slice(17, 20), slice(11, 14)
+"""Columns of the angular velocity and of the specific force, forward, left, up [rad/s, m/s^2]."""
 _MOST_SAMPLES = 1_000_000
 _MOST_DIGITS = 20
 _UNCOVERED = 1.0
@@ -41,7 +44,8 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
     camera_timestamps : Path or None
         ``image_00/timestamps.txt`` of the same drive, one line a frame. It is in the clock of the samples, so
         the first camera stamp laid on the recording's first stamp puts every sample in its place. Without
-        it, sample k is taken for the time of frame k, as in a synced folder.
+        it, sample k is taken for the time of frame k, as in a synced folder; such samples are too far
+        apart for raw inertia, and the sequence has none.
 
     Raises
     ------
@@ -50,7 +54,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
         repeats the stamp of the one before is dropped and counted.
     """
     number, table = _samples(folder)
-    duplicates = 0
+    duplicates, imu = 0, None
     if camera_timestamps is None:
         if len(table) != len(sequence):
             raise DataError(
@@ -64,6 +68,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
         duplicates = int(np.sum(~fresh))
         stamp, table = stamp[fresh], table[fresh]
         _check(stamp, folder / "timestamps.txt", sequence.stamp)
+        imu = ImuSeries(stamp, table[:, GYRO], table[:, ACCELEROMETER])
     parts = [sequence.digest.encode(), stamp.tobytes(), table.tobytes()]
     return replace(
         sequence,
@@ -77,6 +82,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
             "inertial_duplicates": duplicates,
             "inertial_longest_gap_ms": round(1e3 * float(np.diff(stamp).max())),
         },
+        imu=imu,
     )
 
 

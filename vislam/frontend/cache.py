@@ -16,7 +16,15 @@ from vislam.frontend.registry import Chosen
 
 _DIGITS = 20
 _SOURCES = Path(__file__).parents[1]
-_ROOMS = ("frontend", "models", "geometry", "core/images.py", "core/rigid_fit.py", "datasets/image_lists.py")
+_ROOMS = (
+    "frontend",
+    "models",
+    "geometry",
+    "core/images.py",
+    "core/imu.py",
+    "core/rigid_fit.py",
+    "datasets/image_lists.py",
+)
 """Sources on which the tracks depend."""
 
 
@@ -91,8 +99,9 @@ def _digest(recording: ImageRecording, chosen: Chosen, progress: Progress) -> st
     digest.update(recording.stamp.tobytes())
     inertia, reference = recording.inertia, recording.reference
     if inertia is not None:
-        arrays = (inertia.stamp, inertia.gyro, inertia.velocity)
+        arrays = (inertia.stamp, inertia.gyro, inertia.velocity, inertia.accelerometer)
         digest.update(b"|".join(b"" if array is None else array.tobytes() for array in arrays))
+        digest.update(f"{inertia.noise}".encode())
     if isinstance(reference, StampedPoses):
         digest.update(reference.stamp.tobytes() + reference.world_T_imu.tobytes())
     with progress.bar("reading", len(recording)) as bar:

@@ -123,6 +123,7 @@ def _assembled(
     pixels, figures = _rows_corrected(recording.pair, pixels, right, config)
     _, number = np.unique(ids[long_enough], return_inverse=True)
     stamp = recording.stamp[[index for index, _ in kept]]
+    imu = None if recording.inertia is None else recording.inertia.series
     inertia = _with_velocity(recording.inertia, stamp)
     assert inertia.velocity is not None
     sequence = Sequence(
@@ -137,10 +138,12 @@ def _assembled(
         pixels=pixels,
         row=np.arange(len(number)),
         digest=hashlib.sha256(pixels.tobytes() + stamp.tobytes()).hexdigest(),
+        imu=imu,
     )
     lives = life[life >= config.fewest_observations]
     counts = {
         **counts,
+        **({} if imu is None else {"imu_samples": len(imu), "imu_gaps": imu.counts["imu_gaps"]}),
         "tracks": len(lives),
         "observations": len(number),
         "tracks_too_short": len(life) - len(lives),

@@ -1,6 +1,7 @@
 """Files that the front end writes: the tracks in the open track format, and what it has to say of them."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,7 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
         "forward_backward_px": tracked.distance,
         "life": np.bincount(sequence.track)[sequence.track],
     }
+    noise = None if recording.inertia is None else recording.inertia.noise
     summary = {
         "recording": recording.name,
         "front_end": chosen.name,
@@ -58,6 +60,8 @@ def write_tracked(path: Path, recording: ImageRecording, tracked: Tracked, chose
         "velocity": recording.inertia is not None and recording.inertia.velocity is not None,
         "gyro": recording.inertia is not None,
         "levelled": recording.levelled,
+        "accelerometer": sequence.imu is not None,
+        "imu_noise": None if noise is None else asdict(noise),
     }
     tracked.strip.save(strip_path(path))
     with replace_whole(quality_path(path)) as temporary, temporary.open("wb") as file:
