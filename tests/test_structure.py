@@ -13,7 +13,7 @@ ORDER = (
     ("checks", "report"),
     ("evaluation",),
     ("estimators",),
-    ("frontend", "repair", "simulation"),
+    ("frontend", "repair", "simulation", "initialisation"),
     ("datasets",),
     ("core",),
     ("models",),

@@ -17,7 +17,7 @@ from vislam.comparison.bounding import drive_bound, refuse_unbounded
 from vislam.comparison.config import LIST_MAKER, Config
 from vislam.comparison.considering import Given, considered, refuse_doubled, wanted
 from vislam.comparison.identity import code_digest, combine, inputs_digest
-from vislam.comparison.inertia import inertia
+from vislam.comparison.inertia import inertia, started
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
@@ -238,12 +238,14 @@ def prepare(
     """
     require_usable(dataset)
     refuse_unbounded(config)
+    dataset, kept_back = _parted(config, dataset)
+    # Of what every estimator is given, and of nothing that is held out.
+    dataset = started(config, dataset)
     found = members(config)
     refuse_doubled(config, make_problem(config, dataset))
     estimators = build_estimators(config, dataset, found, listed=bool(config.common_set_from))
     for note in dataset.notes:
         progress.note(note)
-    dataset, kept_back = _parted(config, dataset)
     sigma = pixel_sigma(config, dataset)
     runner = Runner(
         dataset.sequence,

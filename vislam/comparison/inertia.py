@@ -1,13 +1,15 @@
 """Raw inertia as the model of motion, from config and sequence."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from vislam.base.errors import ConfigError
 from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset
 from vislam.core.estimator import Inertia
 from vislam.core.sequence import Sequence
-from vislam.models.imu import ImuNoise
+from vislam.initialisation import InitialisationSettings, NotFoundError, initialise
+from vislam.models.imu import ImuNoise, ImuPrior
 
 _UNUSED: Mapping[str, Callable[[Config], bool]] = {
     "noise.vertical_velocity to null": lambda config: config.noise.vertical_velocity is not None,
@@ -27,9 +29,29 @@ def inertia(config: Config, sequence: Sequence) -> Inertia:
     asked = [remedy for remedy, used in _UNUSED.items() if used(config)]
     if asked:
         raise ConfigError(f"motion: imu makes no use of the recorded velocity; set {asked[0]}")
-    if sequence.start is None:
+    noise = ImuNoise(**asdict(config.noise.imu))
+    return Inertia(noise, _found(sequence, noise) if sequence.start is None else sequence.start)
+
+
+def started(config: Config, dataset: Dataset) -> Dataset:
+    """The dataset with the first state that ``motion: imu`` takes, and a note on how it was found.
+
+    Nothing changes with another motion, or where the recording says what the state is.
+    """
+    if config.motion != "imu" or dataset.sequence.start is not None:
+        return dataset
+    found = inertia(config, dataset.sequence).prior
+    sequence = replace(dataset.sequence, start=found)
+    return replace(dataset, sequence=sequence, notes=(*dataset.notes, f"initial state, {found.how}"))
+
+
+def _found(sequence: Sequence, noise: ImuNoise) -> ImuPrior:
+    """First state from the data; ConfigError with the reason if they do not tell it."""
+    settings = InitialisationSettings()
+    try:
+        return initialise(sequence, noise, settings).as_prior(settings)
+    except NotFoundError as why:
         raise ConfigError(
-            f"motion: imu starts from attitude, velocity and biases at the first frame, and {sequence.name} "
-            "does not come with them; set motion to odometry"
-        )
-    return Inertia(ImuNoise(**asdict(config.noise.imu)), sequence.start)
+            f"motion: imu starts from attitude, velocity and biases, and {sequence.name} does not tell them: "
+            f"{why}; or set motion to odometry"
+        ) from None

@@ -1,0 +1,65 @@
+"""Units and axes of raw inertia, by what gravity and the tracks say of them."""
+
+import numpy as np
+
+from vislam.initialisation.alignment import Aligned, gyro_slope
+from vislam.initialisation.found import NotFoundError
+from vislam.initialisation.window import Window
+from vislam.models.imu import GRAVITY, ImuNoise
+
+_UNITS = {"g": 1.0 / GRAVITY, "cm/s^2": 100.0, "mg": 1000.0 / GRAVITY, "mm/s^2": 1000.0}
+"""What 1 m/s^2 is in other units."""
+_NEAR = 1.5
+"""A factor is that of a unit up to so much."""
+_POSSIBLE = 2.0
+"""A median force is that of gravity up to this factor."""
+_DEGREES = 180.0 / np.pi
+_TURNS = 0.02
+"""Spread of the rates by the tracks that tells the gyro's unit [rad/s]."""
+_MAGNITUDE, _SURE = 0.1, 5.0
+"""Gravity is another if it is off by this share and by so many standard deviations."""
+
+
+def check_force(window: Window, noise: ImuNoise) -> None:
+    """Raise NotFoundError if the specific force is not in m/s^2."""
+    force = np.concatenate([step.mean_accel for step in window.inertia])
+    median = float(np.median(np.linalg.norm(force, axis=1)))
+    ratio = median / noise.gravity
+    if 1.0 / _POSSIBLE < ratio < _POSSIBLE:
+        return
+    unit = next((name for name, size in _UNITS.items() if 1.0 / _NEAR < ratio / size < _NEAR), None)
+    guess = f"it looks like {unit}, divide by {_UNITS[unit]:.4g}" if unit else "look at its unit"
+    raise NotFoundError(
+        f"the accelerometer must show gravity, {noise.gravity:.2f} m/s^2, got {median:.3g} (median of its "
+        f"magnitude): {guess}"
+    )
+
+
+def check_turns(window: Window, noise: ImuNoise) -> None:
+    """Raise NotFoundError if gyro and tracks turn by other angles, or about other axes."""
+    slope, correlation = gyro_slope(window, noise)
+    time = np.diff(window.stamp)[window.told, None, None]
+    rates = (window.motion[window.told][:, :3, :3] - np.eye(3)) / time
+    if float(rates.std(axis=0).max()) < _TURNS:
+        return
+    if correlation > 0.5 and 1.0 / _NEAR < slope / _DEGREES < _NEAR:
+        raise NotFoundError(
+            f"the gyro must be in rad/s, got {slope:.3g} times the turns of the tracks: it looks like deg/s"
+        )
+    if correlation < 0.5:
+        raise NotFoundError(
+            f"gyro and tracks must turn about the same axes, got a correlation of {correlation:.2f}: look at "
+            "imu_T_cam, at the axes of the gyro and at its clock"
+        )
+
+
+def check_gravity(aligned: Aligned, noise: ImuNoise) -> None:
+    """Raise NotFoundError if gravity, by inertia and tracks together, has another magnitude."""
+    found = float(np.linalg.norm(aligned.gravity))
+    off = abs(found - noise.gravity)
+    if off > _MAGNITUDE * noise.gravity and off > _SURE * aligned.gravity_sigma:
+        raise NotFoundError(
+            f"gravity must come out as {noise.gravity:.2f} m/s^2, got {found:.2f} +- "
+            f"{aligned.gravity_sigma:.2f} by inertia and tracks: look at the unit of the accelerometer, at "
+            "the baseline, at imu_T_cam and at the clock"
+        )
