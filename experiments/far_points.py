@@ -1,8 +1,8 @@
 """Where far points move to against the reference's motion.
 
 ``python -m experiments.far_points battle/kitti_0036`` prints a table. Each observation is triangulated and
-carried over one frame by the motion of the reference; what the next observation of its track differs by is the
-residual. Rows are of depths, values the mean over the drive of the median of each frame, with the standard
+carried over one frame by the motion of the reference; the residual is what the next observation of its track
+differs by. Rows are of depths, values the mean over the drive of the median of each frame, with the standard
 error by ten blocks of time.
 """
 
