@@ -79,6 +79,7 @@ def _changes(result: Calibration) -> list[list[str]]:
         ],
         ["path over inertial path", _plain(first.path), *(_plain(one.trial.path) for one in every)],
     ]
+    rows.append(["pixel noise raised by", "1", *(f"{one.raised:.2f}" for one in every)])
     rows.append(
         ["standard deviations too small by", "1", *(f"{one.trial.overclaim(first):.2f}" for one in every)]
     )
@@ -86,9 +87,7 @@ def _changes(result: Calibration) -> list[list[str]]:
         [f"log likelihood gained on {name}", "0", *(f"{one.elsewhere[name]:.1f}" for one in every)]
         for name in every[0].elsewhere
     ]
-    verdicts = [
-        "written" if one is result.best else "; ".join(one.objections) or "not as good" for one in every
-    ]
+    verdicts = ["written" if one is result.best else "rejected" if one.objections else "" for one in every]
     before, after = result.before.nis_per_dof, result.after.nis_per_dof
     rows.append(["verdict", "written" if result.best is None else "", *verdicts])
     rows.append(["NIS per degree of freedom", f"{before:.3f}", *_of_written(result, f"{after:.3f}")])
