@@ -158,8 +158,7 @@ class _Read:
         """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
         if len(keys) == 1:
             return self.covariance(keys[0])
-        joint = _solved(self._joint_solver().jointMarginalCovariance, list(keys))
-        return np.block([[joint.at(one, other) for other in keys] for one in keys])
+        return _joint(self._joint_solver(), keys)
 
     def _joint_solver(self) -> Any:
         """What GTSAM has joint covariances of."""
@@ -197,6 +196,7 @@ class WholeGraph(_Read):
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
+        self._qr: gtsam.ISAM2 | None = None
         self._resting = gtsam.KeyList()
         self._at_rest: set[int] = set()
 
@@ -235,6 +235,29 @@ class WholeGraph(_Read):
             parameters.noRelinKeys = self._resting
         slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
         return slots[1:] if self._anchored else slots
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable, which Cholesky may fail to read from a tree that it has made."""
+        try:
+            return super().covariance(key)
+        except IndeterminateError:
+            return _solved(self._by_qr().marginalCovariance, key)
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        """Joint covariance ``(d, d)`` of the errors of variables, likewise."""
+        try:
+            return super().joint_covariance(keys)
+        except IndeterminateError:
+            return _joint(self._by_qr(), keys)
+
+    def _by_qr(self) -> gtsam.ISAM2:
+        """Tree by QR of the same factors at the same linearisation point, made once after an update."""
+        if self._qr is None:
+            parameters = gtsam.ISAM2Params()
+            parameters.setFactorization("QR")
+            self._qr = gtsam.ISAM2(parameters)
+            _solved(self._qr.update, self._solver.getFactorsUnsafe(), self._solver.getLinearizationPoint())
+        return self._qr
 
     def converge(self) -> None:
         """Relinearise everything once, unless nothing is to be, and solve it whole."""
@@ -280,6 +303,7 @@ class WholeGraph(_Read):
         return all_factors, all_values
 
     def _solve(self, *arguments: Any) -> gtsam.ISAM2Result:
+        self._qr = None
         return _solved(self._solver.update, *arguments)
 
 
@@ -363,6 +387,12 @@ def _parameters(
 def _pose_threshold(options: SmootherOptions, baseline: float) -> float:
     """Largest move of a pose that is not relinearised [m]."""
     return _POSE_SHARE * baseline if options.pose_threshold_m is None else options.pose_threshold_m
+
+
+def _joint(solver: Any, keys: Sequence[int]) -> Array:
+    """Joint covariance ``(d, d)`` of the errors of variables, in their order."""
+    found = _solved(solver.jointMarginalCovariance, list(keys))
+    return np.block([[found.at(one, other) for other in keys] for one in keys])
 
 
 def _solved(call: Any, *arguments: Any) -> Any:
