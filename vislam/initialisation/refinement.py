@@ -51,19 +51,20 @@ def refine(window: Window, aligned: Aligned, noise: ImuNoise, settings: Initiali
     """Estimate of the first state from an aligned window."""
     state = _start(window, aligned, noise)
     prior = bias_prior(settings)
+    scale = 1.0
     for _ in range(_ITERATIONS):
         normal = _normal(window, state, noise)
-        hessian, gradient = normal.hessian.copy(), normal.gradient
+        redundancy = normal.rows - len(normal.gradient) + np.count_nonzero(prior.diagonal())
+        scale = max(normal.square / redundancy, 1.0)
+        hessian, gradient = normal.hessian / scale, normal.gradient / scale
         hessian[:SIZE, :SIZE] += prior
         gradient[:SIZE] -= prior @ np.concatenate([np.zeros(5), state.bias])
         step = np.asarray(np.linalg.solve(hessian, gradient), float)
         state = state.moved(step)
         if np.abs(step).max() < _CONVERGED:
             break
-    redundancy = normal.rows - len(step) + np.count_nonzero(prior.diagonal())
-    scale = max(normal.square / redundancy, 1.0)
     first = np.linalg.inv(hessian)[:SIZE, :SIZE]
-    information = (np.linalg.inv(first) - prior) / scale
+    information = np.linalg.inv(first) - prior
     return Found(
         "dynamic",
         state.pose[0, :3, :3],
