@@ -12,6 +12,7 @@ from vislam.base.errors import DataError
 from vislam.base.files import check_writable, write_text
 from vislam.base.settings import LONGEST_NAME
 from vislam.cli.console import Terminal
+from vislam.cli.raw_inertia import with_raw_inertia
 from vislam.cli.track import told
 from vislam.comparison import config as configuration
 from vislam.comparison.open import open_dataset
@@ -27,6 +28,7 @@ from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import bare_tree, unrepaired
 from vislam.inspection.finding import Inspection
 from vislam.inspection.written import proposed_config
+from vislam.models.imu import ImuNoise
 
 _ESTIMATORS: dict[str, dict[str, Any]] = {
     "dead_reckoning": {},
@@ -46,11 +48,12 @@ _GYRO = 3
 
 @dataclass(frozen=True)
 class _Recorded:
-    """What came with the images: whether a velocity, parallel to the earth's surface, and angular rates."""
+    """What came with the images: velocity, parallel to the earth's surface, angular rates, stated noise."""
 
     levelled: bool = False
     velocity: bool = True
     gyro: bool = True
+    imu_noise: ImuNoise | None = None
 
 
 def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
@@ -88,6 +91,9 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
         terminal.note(f"{finding.verdict.upper():8}{finding.check}: {finding.text}")
     if not recorded.velocity:
         tree = _without_velocity(tree, result, dataset.sequence, gyro=recorded.gyro)
+        if dataset.sequence.imu is not None:
+            for line in with_raw_inertia(tree, dataset.sequence, recorded.imu_noise):
+                terminal.note(line)
         text = configuration.dump(settings.parse(configuration.Config, tree))
     else:
         if recorded.levelled:
@@ -130,7 +136,10 @@ def _tracked(
             "name": reference.name,
             "limits": reference.origin,
         }
-    return tree, _Recorded(*(bool(summary[name]) for name in ("levelled", "velocity", "gyro")))
+    stated = summary["imu_noise"]
+    noise = None if stated is None else ImuNoise(**stated)
+    levelled, velocity, gyro = (bool(summary[name]) for name in ("levelled", "velocity", "gyro"))
+    return tree, _Recorded(levelled, velocity, gyro, noise)
 
 
 def _without_velocity(

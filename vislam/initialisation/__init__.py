@@ -2,6 +2,7 @@
 
 from vislam.initialisation.found import Found, NotFoundError
 from vislam.initialisation.initialise import initialise
+from vislam.initialisation.noise import noise_factor, scaled
 from vislam.initialisation.settings import InitialisationSettings
 
-__all__ = ["Found", "InitialisationSettings", "NotFoundError", "initialise"]
+__all__ = ["Found", "InitialisationSettings", "NotFoundError", "initialise", "noise_factor", "scaled"]

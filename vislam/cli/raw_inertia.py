@@ -1,0 +1,43 @@
+"""Raw inertia in the config that is made for a recording: its noise, and whether it tells the first state."""
+
+from dataclasses import asdict
+from typing import Any
+
+from vislam.base import settings
+from vislam.comparison.config import ImuNoiseConfig
+from vislam.core.sequence import Sequence
+from vislam.initialisation import NotFoundError, initialise, noise_factor, scaled
+from vislam.models.imu import ImuNoise
+
+_ESTIMATORS: dict[str, dict[str, Any]] = {
+    "stereo_vo": {},
+    "ekf_invariant": {},
+    "eks": {},
+    "isam2": {},
+    "batch": {},
+}
+_DENSITIES = ("gyro_density", "accel_density", "gyro_walk", "accel_walk")
+
+
+def with_raw_inertia(tree: dict[str, Any], sequence: Sequence, stated: ImuNoise | None) -> list[str]:
+    """Set ``motion: imu`` and its noise in a config, if the data tell the first state; return what to say.
+
+    The white noise is that of the recording's own files, or of a data sheet where it has none, times the
+    factor by which tracks and inertia are farther apart than it allows.
+    """
+    told = "its own files" if stated is not None else "the default, a data sheet's"
+    noise = ImuNoise(**asdict(ImuNoiseConfig())) if stated is None else stated
+    try:
+        initialise(sequence, noise)
+    except NotFoundError as why:
+        return [f"raw inertia is left out (motion: odometry): {why}"]
+    factor = noise_factor(sequence, noise)
+    noise = scaled(noise, factor)
+    for name in _DENSITIES:
+        settings.put(tree, f"noise.imu.{name}", float(f"{getattr(noise, name):.3g}"))
+    settings.put(tree, "motion", "imu")
+    tree["estimators"] = _ESTIMATORS
+    return [
+        f"raw inertia (motion: imu): {len(sequence.imu or ())} samples, {sequence.counts.get('imu_gaps', 0)} "
+        f"gaps; white noise that of {told}, times {factor:.2g}, by which tracks and inertia differ"
+    ]
