@@ -60,6 +60,21 @@ def test_the_same_is_the_same_and_a_blind_run_is_in_no_pair():
     assert unequal_line(shared_information({"a": made("a"), "b": made("b")}, listed())) == ""
 
 
+def test_many_runs_of_two_kinds_are_one_clause():
+    runs = [made("a"), made("b", kernel="huber"), made("c"), made("d", kernel="huber")]
+    found = shared_information({run.name: run for run in runs}, listed())
+    assert unequal_line(found) == "Information was not equal: a (so c) and b (so d) (kernel: none and huber)."
+
+
+def test_runs_that_differ_from_each_other_only_are_named():
+    runs = [made("a", used=left_out(8)), made("b", used=left_out(0)), made("c", used=left_out(16))]
+    found = shared_information({run.name: run for run in runs}, None)
+    assert [item.equal for item in found] == [True, True, False]
+    assert unequal_line(found) == (
+        "Information was not equal: b and c (no common list, 16 observations were fused by one of them only)."
+    )
+
+
 @pytest.mark.parametrize(
     ("other", "common_set", "said"),
     [

@@ -58,9 +58,36 @@ def shared_information(runs: Mapping[str, Run], common_set: CommonSet | None) ->
 
 
 def unequal_line(found: list[SharedInformation]) -> str:
-    """One line that names the pairs whose information differed, and in what; empty if none's did."""
-    said = [f"{' and '.join(item.pair)} ({'; '.join(item.differs)})" for item in found if not item.equal]
+    """One line that names the runs whose information differed, and in what; empty if none's did.
+
+    Runs that have the information of another are named with it, so that the line is no longer than there are
+    kinds of information.
+    """
+    differs = {item.pair: item.differs for item in found}
+    kinds: list[list[str]] = []
+    for name in dict.fromkeys(name for pair in differs for name in pair):
+        same = next((kind for kind in kinds if not differs[kind[0], name]), None)
+        if same is None:
+            kinds.append([name])
+        else:
+            same.append(name)
+    said = [
+        f"{_with_its_like(one)} and {_with_its_like(other)} ({'; '.join(differs[one[0], other[0]])})"
+        for one, other in ((kinds[0], other) for other in kinds[1:])
+    ]
+    # Runs may be as good as equal to a third one, and not to each other.
+    said += [
+        f"{one} and {other} ({'; '.join(differs[one, other])})"
+        for kind in kinds
+        for one, other in combinations(kind, 2)
+        if differs[one, other]
+    ]
     return f"Information was not equal: {', '.join(said)}." if said else ""
+
+
+def _with_its_like(kind: list[str]) -> str:
+    first, *like = kind
+    return f"{first} (so {', '.join(like)})" if like else first
 
 
 def _observations(one: Run, other: Run, common_set: CommonSet | None) -> Iterator[str]:
