@@ -149,8 +149,7 @@ class EkfEstimator:
             state.predict(self._motion.propagate(self._layout, state.world_T_imu, state.nav, frame))
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
-        if self._track_noise.drift > 0.0:
-            state.add_drift(slots, view.drift_cov(self._track_noise.drift))
+        self._add_drift(state, view, slots)
         fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
         new = usable.copy()
         new[rows] = False
@@ -174,6 +173,11 @@ class EkfEstimator:
             used=used,
             gated=all_gated,
         )
+
+    def _add_drift(self, state: JointState, view: View, slots: IntArray) -> None:
+        """Let the landmarks in view drift by a frame, each track for itself."""
+        if self._track_noise.drift > 0.0:
+            state.add_drift(slots, view.drift_cov(self._track_noise.drift))
 
     def _staying(self, state: JointState, rows: IntArray) -> BoolArray:
         """Landmarks that are kept: those in view (``rows`` not -1), and the most recently observed others."""

@@ -234,9 +234,15 @@ class View:
 
     def drift_cov(self, drift: float) -> Array:
         """Covariance ``(n, 3, 3)`` of a step of ``drift`` [px] in column and row, at constant depth."""
+        step = self.drift_step(drift)
+        return np.asarray(step @ step.transpose(0, 2, 1))
+
+    def drift_step(self, drift: float) -> Array:
+        """Change of the coordinates ``(n, 3, 2)`` by ``drift`` [px] in column and row, at constant depth."""
         rig = self.rig
         lateral = self.cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
             self.in_camera[:, 2, None, None] * np.array([drift / rig.fx, drift / rig.fy])
         )
-        step = self.camera.parametrisation.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
-        return np.asarray(step @ step.transpose(0, 2, 1))
+        return np.asarray(
+            self.camera.parametrisation.coordinates_jacobian(self.homogeneous)[:, :, :3] @ lateral
+        )
