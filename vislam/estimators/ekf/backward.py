@@ -172,7 +172,9 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
         elif isinstance(step, PoseRows):
             error, loss, _ = adjoint.expected(step.rows)
             poses.append(se3.retract(step.world_T_imu, error))
-            covs.append(step.rows[:, POSE] - loss)
+            cov = step.rows[:, POSE] - loss
+            # A small difference of large numbers, which are symmetric to rounding only.
+            covs.append(0.5 * (cov + cov.T))
         else:
             adjoint = step.back(adjoint)
     return Smoothed(
