@@ -186,3 +186,37 @@ def test_the_points_of_what_comes_along_differ(path):
     config = configuration.load(path)
     if config.study is not None:
         assert all_points(config, parse(StudyConfig, config.study, at="study"))
+
+
+def test_named_levels_set_what_belongs_together_and_go_with_the_grid(short_config):
+    seen, told = "data.simulation.pixel_sigma_px", PIXELS
+    named = {"camera": {"as given": {}, "coarse": {seen: 2.0, told: 2.5}}, "length": {"long": {FRAMES: 30}}}
+    points = all_points(short_config, StudyConfig(named=named, grid={"held_out.share": (0.0, 0.1)}))
+    assert [point.values["camera"] for point in points] == ["as given"] * 2 + ["coarse"] * 2
+    assert points[0].values == {"camera": "as given", "length": "long", "held_out.share": 0.0}
+    first, last = (configuration.parse(Config, points[place].tree) for place in (0, -1))
+    assert first.noise == short_config.noise
+    assert (last.data.simulation.pixel_sigma_px, last.noise.pixel_sigma_px) == (2.0, 2.5)
+    assert (last.data.simulation.frames, last.held_out.share) == (30, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("study", "told"),
+    [
+        ({"named": {"a.b": {"x": {}}}}, "without a dot, which is no path, got a.b"),
+        ({"named": {"a": {"x": {PIXELS: 1.0}}}, "grid": {PIXELS: [1.0]}}, "is set by grid, too"),
+        ({"named": {"a": {"x": {PIXELS: 1.0}}, "b": {"y": {PIXELS: 2.0}}}}, "is set by a, too; leave it"),
+        ({"named": {"a": {"x": {}}}, "around": {PIXELS: [1.0]}}, "named with grid alone"),
+        ({"named": {"a": {}}}, "named.a"),
+    ],
+)
+def test_named_levels_that_cannot_be_are_told(study, told):
+    with pytest.raises(ConfigError, match=told):
+        parse(StudyConfig, study, at="study")
+
+
+def test_named_levels_are_bound_by_what_cannot_be_swept(short_config):
+    with pytest.raises(ConfigError, match="seed cannot be swept"):
+        all_points(short_config, StudyConfig(named={"a": {"x": {"seed": 3}}}))
+    with pytest.raises(ConfigError, match="got the same one twice"):
+        all_points(short_config, StudyConfig(named={"a": {"x": {}, "y": {}}}))

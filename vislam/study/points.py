@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -89,7 +89,8 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
         If the config takes one of them not, or if two of them are the same.
     """
     swept = [*study.grid, *study.around, *(study.latin_hypercube.ranges if study.latin_hypercube else {})]
-    for path in (*swept, *(path for values in study.defects.values() for path in values)):
+    sets = [study.defects, *study.named.values()]
+    for path in (*swept, *(path for each in sets for values in each.values() for path in values)):
         if path.split(".", maxsplit=1)[0] in _NOT_SWEPT:
             raise ConfigError(f"study: {path} cannot be swept")
     if study.defects:
@@ -101,7 +102,9 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
     elif study.around:
         points = [Point.of(config, values) for values in _one_at_a_time(config, study.around)]
     else:
-        points = [Point.of(config, values) for values in point_values(study)]
+        points = [
+            Point.of(config, values, changes=_changes(study, values)) for values in point_values(study)
+        ]
     _refuse_equal(points)
     return points
 
@@ -123,16 +126,25 @@ def _refuse_equal(points: Sequence[Point]) -> None:
 
 
 def point_values(study: StudyConfig) -> Iterator[dict[str, Any]]:
-    """Values of each point by dotted path; of a grid, the last path changes fastest."""
+    """Values of each point by dotted path or name; of a grid, the last path changes fastest."""
     cube = study.latin_hypercube
     if cube is None:
-        for combination in itertools.product(*study.grid.values()):
-            yield dict(zip(study.grid, combination, strict=True))
+        swept: dict[str, Iterable[Any]] = {**study.named, **study.grid}
+        for combination in itertools.product(*swept.values()):
+            yield dict(zip(swept, combination, strict=True))
         return
     low, high = zip(*cube.ranges.values(), strict=True)
     unit = qmc.LatinHypercube(len(cube.ranges), rng=cube.seed).random(cube.samples)
     for row in qmc.scale(unit, low, high):
         yield dict(zip(cube.ranges, row.tolist(), strict=True))
+
+
+def _changes(study: StudyConfig, values: Mapping[str, Any]) -> dict[str, Any]:
+    """What the values of a point stand for, by dotted path."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= study.named[name][value] if name in study.named else {name: value}
+    return found
 
 
 def _one_at_a_time(config: Config, around: Mapping[str, Sequence[Any]]) -> Iterator[dict[str, Any]]:

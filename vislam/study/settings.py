@@ -57,6 +57,10 @@ class StudyConfig:
     grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Values by dotted path in the config; each is combined with each. Two points that are the same, as of 1
     and 1.0, are rejected, here and of an ablation."""
+    named: dict[str, Annotated[dict[str, dict[str, Any]], Field(min_length=1)]] = Field(default_factory=dict)
+    """Values that belong together, such as the noise of a sensor in the simulation and in the estimators: by
+    parameter and by its level, each as values by dotted path, none for the config's own. Levels are combined
+    with each other and with the grid, whose values are set last."""
     around: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Values in place of a grid that are tried one at a time, all else as the config has it; it is a point,
     too."""
@@ -73,6 +77,17 @@ class StudyConfig:
     order by errors; null: none is."""
 
     def __post_init__(self) -> None:
-        """Reject two sets of points."""
-        if sum(map(bool, (self.grid, self.around, self.latin_hypercube, self.defects))) > 1:
-            raise ValueError("one of grid, around, latin_hypercube and defects can be given")
+        """Reject two sets of points, and parameters that would overwrite each other."""
+        if sum(map(bool, (self.grid or self.named, self.around, self.latin_hypercube, self.defects))) > 1:
+            raise ValueError(
+                "one of grid, around, latin_hypercube and defects can be given, named with grid alone"
+            )
+        owner = dict.fromkeys(self.grid, "grid")
+        for name, levels in self.named.items():
+            if "." in name:
+                raise ValueError(f"named: expected a name without a dot, which is no path, got {name}")
+            for path in sorted({path for values in levels.values() for path in values}):
+                if owner.setdefault(path, name) != name:
+                    raise ValueError(
+                        f"named.{name}: {path} is set by {owner[path]}, too; leave it to one of them"
+                    )
