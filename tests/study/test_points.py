@@ -13,6 +13,7 @@ from vislam.base.errors import ConfigError
 from vislam.base.settings import parse
 from vislam.comparison import config as configuration
 from vislam.comparison.config import Config
+from vislam.study.plan import Plan
 from vislam.study.points import Point, all_points, all_trials, point_values
 from vislam.study.settings import LatinHypercube, StudyConfig
 from vislam.study.trials import Trials
@@ -220,3 +221,22 @@ def test_named_levels_are_bound_by_what_cannot_be_swept(short_config):
         all_points(short_config, StudyConfig(named={"a": {"x": {"seed": 3}}}))
     with pytest.raises(ConfigError, match="got the same one twice"):
         all_points(short_config, StudyConfig(named={"a": {"x": {}, "y": {}}}))
+
+
+def test_the_shipped_study_of_raw_inertia_gives_estimators_the_noise_that_it_simulates():
+    plan = Plan.of(configuration.load(CONFIGS / "imu_filter_vs_smoother.yaml"))
+    assert (len(plan.points), plan.upright) == (12, True)
+    for point in plan.points:
+        config = configuration.parse(Config, point.tree)
+        drive, told = config.data.source, config.noise.imu
+        for key in ("gyro_density", "accel_density", "gyro_walk", "accel_walk", "gravity"):
+            assert getattr(drive.imu, key) == getattr(told, key), (point.label, key)
+        hertz = float(point.values["camera_hz"])
+        assert drive.period == 1 / hertz
+        assert drive.frames == 6 * hertz + 1
+        assert np.isclose(drive.loss_probability, 1 - 0.96 ** (10 / hertz), atol=5e-5)
+        room = configuration.load(CONFIGS / "euroc_like.yaml").data.source
+        if point.values["scene"] == "room":
+            same = ("path", "speed", "rig", "depth_min", "depth_max")
+            assert all(getattr(drive, key) == getattr(room, key) for key in same)
+            assert drive.imu.rate == room.imu.rate

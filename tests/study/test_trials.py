@@ -1,11 +1,15 @@
 """The table of trials: order of its points, failures and gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.study.synthetic import lost, record
+from vislam.study.page.labels import errors, metric_label
 from vislam.study.page.tables import pairs_table
 from vislam.study.page.verdict import verdict
+from vislam.study.summary import header, rows_of
 from vislam.study.trials import Trials
 
 
@@ -89,3 +93,16 @@ def test_a_smoothed_estimate_is_not_held_against_a_filtered_one():
     (alone,) = [text for text in told if text.startswith("Smoothed: ")]
     assert "isam2 0.5 m" in alone
     assert "ekf" not in alone
+
+
+def test_upright_trials_are_compared_after_an_alignment_of_heading_and_position():
+    errors_m = {"ate_rmse": 1.0, "ate_yaw_position_rmse": 2.0, "nees_pose": 1.0}
+    trials = Trials.of_records([record(seed, {}, {"ekf": errors_m}) for seed in range(2)])
+    upright = replace(trials, upright=True)
+    for found, keys, told in (
+        (trials, ["ate_rmse"], "1.000"),
+        (upright, ["ate_yaw_position_rmse", "ate_rmse"], "2.000"),
+    ):
+        assert errors(found) == keys
+        assert metric_label(keys[0]) == header(found)[4]
+        assert rows_of(found)[0][4] == told

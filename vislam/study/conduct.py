@@ -28,7 +28,7 @@ from vislam.study.page.page import write_study_page
 from vislam.study.page.tables import CLAIMS, ranking_table
 from vislam.study.plan import Plan
 from vislam.study.pooled import judge_pooled
-from vislam.study.summary import HEADER, reason_line, reasons_of, rows_of
+from vislam.study.summary import header, reason_line, reasons_of, rows_of
 from vislam.study.trial import DONE, FAILED
 from vislam.study.trials import Trials
 
@@ -135,6 +135,7 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
     trials = Trials.of_records(
         _records(plan, folder, counts), keys=_SHOWN.union(ranked, keys_of_lags(plan.config.lags))
     )
+    trials = replace(trials, upright=plan.upright)
     lost = len(plan.points) * plan.study.seeds - len(trials)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -190,7 +191,7 @@ def _show(plan: Plan, trials: Trials, progress: Progress, *, title: str) -> None
     else:
         for estimate in trials.estimates:
             rows = rows_of(trials.of(estimate))
-            progress.rows(HEADER, rows, title=f"{title}, {ESTIMATE_TITLES[estimate]}")
+            progress.rows(header(trials), rows, title=f"{title}, {ESTIMATE_TITLES[estimate]}")
     for estimate in trials.estimates:
         table = bound_table(trials.of(estimate))
         if table.rows:

@@ -77,6 +77,11 @@ class Plan:
         return self.config.data.simulated
 
     @property
+    def upright(self) -> bool:
+        """Whether roll and pitch are observable at every point: by gravity, that raw inertia measures."""
+        return all(point.tree["motion"] == "imu" for point in self.points)
+
+    @property
     def id(self) -> str:
         """Hash of config, code and all files.
 

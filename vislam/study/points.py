@@ -102,9 +102,7 @@ def all_points(config: Config, study: StudyConfig) -> list[Point]:
     elif study.around:
         points = [Point.of(config, values) for values in _one_at_a_time(config, study.around)]
     else:
-        points = [
-            Point.of(config, values, changes=_changes(study, values)) for values in point_values(study)
-        ]
+        points = [Point.of(config, values, changes=_changes(study, values)) for values in point_values(study)]
     _refuse_equal(points)
     return points
 

@@ -9,16 +9,20 @@ from vislam.comparison import config as configuration
 from vislam.evaluation.metric import METRICS
 from vislam.study import answers
 from vislam.study.intervals import Estimate
+from vislam.study.page.labels import position_error
 from vislam.study.trials import Trials
 
-_ERROR = METRICS["ate_rmse"]
-HEADER = (
-    *("point", "estimator", "trials", "failed"),
-    *(_ERROR.short_label, "95 % interval"),
-    *(METRICS[answers.NEES].short_title, "95 % interval"),
-)
 _MOST_REASONS = 5
 _LONGEST_REASON = 300
+
+
+def header(trials: Trials) -> tuple[str, ...]:
+    """Titles of the columns."""
+    return (
+        *("point", "estimator", "trials", "failed"),
+        *(position_error(trials).short_label, "95 % interval"),
+        *(METRICS[answers.NEES].short_title, "95 % interval"),
+    )
 
 
 def rows_of(trials: Trials) -> list[tuple[str, ...]]:
@@ -30,7 +34,7 @@ def rows_of(trials: Trials) -> list[tuple[str, ...]]:
     for point, rows in trials.groups():
         told = ", ".join(f"{path} {configuration.inline(value)}" for path, value in point.items()) or "-"
         for name, complete in trials.complete.items():
-            error = answers.mean(trials, name, _ERROR.key, rows=rows)
+            error = answers.mean(trials, name, position_error(trials).key, rows=rows)
             nees = answers.pooled_nees(trials, name, rows=rows)
             missing = str(int((~complete[rows]).sum()))
             cells = (*_cells(error), *_cells(None if nees is None else nees.mean))

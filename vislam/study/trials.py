@@ -35,6 +35,9 @@ class Trials:
         Metrics that were kept; None: all.
     estimate : "filtered", "smoothed" or None
         The one whose metrics are looked at; None: the final one of each run.
+    upright : bool
+        Whether roll and pitch are observable, so that errors are what an alignment of heading and position
+        leaves.
     """
 
     seed: IntArray
@@ -45,6 +48,7 @@ class Trials:
     values: Mapping[Entry, Array]
     keys: Collection[str] | None = None
     estimate: Estimate | None = None
+    upright: bool = False
 
     def __len__(self) -> int:
         return len(self.seed)

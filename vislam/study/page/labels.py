@@ -5,11 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from vislam.evaluation.metric import METRICS
+from vislam.evaluation.metric import METRICS, MetricSpec
 from vislam.study.intervals import Estimate
 from vislam.study.trials import Trials
 
-ERRORS = {
+_UPRIGHT = MetricSpec(
+    "ate_yaw_position_rmse",
+    "ATE, heading and position aligned",
+    "m",
+    2,
+    "less",
+    "ATE by heading and position",
+)
+"""Error of runs whose roll and pitch are observable."""
+ERRORS = {_UPRIGHT.key: _UPRIGHT} | {
     key: METRICS[key]
     for key in (
         "ate_rmse",
@@ -20,19 +29,26 @@ ERRORS = {
         "held_out_median",
     )
 }
-"""Errors that a study shows; the first that it has is its headline."""
+"""Errors that a study shows; the first that it has is its headline, that of upright runs in theirs alone."""
 TIME = "step_time_p50_ms"
 _UNITS = ("px", "m", "s", "ms", "deg", "hz")
 
 
 def errors(trials: Trials) -> list[str]:
-    """Metrics of ``ERRORS`` that some estimator has in some trial."""
-    return [key for key in ERRORS if trials.has(key)]
+    """Metrics of ``ERRORS`` that some estimator has in some trial, that of upright runs only if they are."""
+    keys = [key for key in ERRORS if trials.upright or key != _UPRIGHT.key]
+    return [key for key in keys if trials.has(key)]
+
+
+def position_error(trials: Trials) -> MetricSpec:
+    """Absolute trajectory error by the alignment that leaves what the trials observe."""
+    return _UPRIGHT if trials.upright else ERRORS["ate_rmse"]
 
 
 def metric_label(key: str) -> str:
     """Name of a metric with its unit; its key, if it has no name of its own."""
-    return METRICS[key].short_label if key in METRICS else key
+    spec = ERRORS.get(key) or METRICS.get(key)
+    return key if spec is None else spec.short_label
 
 
 def parameter_label(path: str) -> str:
