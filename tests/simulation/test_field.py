@@ -140,3 +140,29 @@ def test_equal_seeds_give_equal_drives_and_others_do_not():
     first, again, other = (simulated(DRIVE, seed)[0] for seed in (1, 1, 2))
     assert first.pixels.tobytes() == again.pixels.tobytes()
     assert first.digest != other.digest
+
+
+CIRCUIT = replace(DRIVE, path="circuit", hills_m=0.0, field_per_metre=1.0, landmarks="recognised")
+
+
+def test_a_recognised_landmark_has_the_same_id_in_both_laps():
+    sequence, truth = simulated(CIRCUIT)
+    points_of_tracks(sequence, truth)
+    lap = sequence.frame_of // (CIRCUIT.frames // 2)
+    both = np.intersect1d(sequence.track[lap == 0], sequence.track[lap == 1])
+    assert len(both) > 0.6 * len(np.unique(sequence.track))
+    for start, end in zip(sequence.offset, sequence.offset[1:], strict=False):
+        assert len(np.unique(sequence.track[start:end])) == end - start
+
+
+def test_without_recognition_the_second_lap_has_tracks_of_its_own():
+    sequence, _ = simulated(replace(CIRCUIT, landmarks="field", loss_probability=0.0))
+    lap = sequence.frame_of // (CIRCUIT.frames // 2)
+    first, second = np.unique(sequence.track[lap == 0]), np.unique(sequence.track[lap == 1])
+    assert len(np.intersect1d(first, second)) < 0.3 * len(second)
+
+
+@pytest.mark.parametrize("fault", ["duplication_probability", "moving_share"])
+def test_an_id_of_a_landmark_has_one_point(fault):
+    with pytest.raises(ValueError, match=rf"recognised has one static point.*{fault}.*landmarks: field"):
+        replace(CIRCUIT, **{fault: 0.1})

@@ -182,3 +182,14 @@ def test_a_highway_curves_gently():
     assert twist[:, 3].min() > 30.0
     pose = path.pose(time)
     assert np.ptp(np.unwrap(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))) > 0.2
+
+
+@pytest.mark.parametrize("laps", [1, 2, 3])
+def test_a_circuit_comes_back_to_where_it_was(laps):
+    config = replace(DRIVE, path="circuit", frames=300, laps=laps, hills_m=0.0)
+    lap = config.frames * config.period / laps
+    time = np.linspace(0.0, lap * (laps - 1), 50)
+    path = DrivePath(config, np.random.default_rng(1))
+    apart = path.pose(time)[:, :3, 3] - path.pose(time + lap)[:, :3, 3]
+    assert np.abs(apart).max() < 1e-6
+    assert np.abs(path.pose(np.array([0.5 * lap]))[0, :2, 3] - path.pose(np.zeros(1))[0, :2, 3]).max() > 10.0

@@ -96,13 +96,25 @@ class SimulationConfig:
     period: Positive = 0.1046
     """Time between frames [s]."""
     path: Literal[
-        "town", "straight", "loop", "urban", "figure_eight", "highway", "helix", "room", "recorded"
+        "town",
+        "straight",
+        "loop",
+        "circuit",
+        "urban",
+        "figure_eight",
+        "highway",
+        "helix",
+        "room",
+        "recorded",
     ] = "town"
     """Shape of the path. ``town``: turns and changes of speed. ``straight``: a straight line. ``loop``: a
-    circle. ``urban``: blocks with right-angle turns, and a stop before every other. ``figure_eight``: closed,
-    at constant speed. ``highway``: gentle curves, for some 33 m/s. ``helix``: three turns up a 6 % grade.
-    ``room``: hovering through a room of some metres, turning about all axes; ``speed`` is that along its
-    sides. ``recorded``: along the poses of ``recorded``, with their speed and their hills."""
+    circle. ``circuit``: a circle driven ``laps`` times at constant speed. ``urban``: blocks with right-angle
+    turns, and a stop before every other. ``figure_eight``: closed, at constant speed. ``highway``: gentle
+    curves, for some 33 m/s. ``helix``: three turns up a 6 % grade. ``room``: hovering through a room of some
+    metres, turning about all axes; ``speed`` is that along its sides. ``recorded``: along the poses of
+    ``recorded``, with their speed and their hills."""
+    laps: Annotated[int, Field(ge=1)] = 2
+    """How often the circle of ``path: circuit`` is driven."""
     recorded: RecordedPathConfig | None = None
     """The poses of ``path: recorded``, and of no other."""
     speed: Positive = 12.7
@@ -126,10 +138,11 @@ class SimulationConfig:
     loss_flow_px: Positive | None = None
     """Flow in a frame at which a track is kept with a chance of 1/e, besides; the chance falls exponentially
     with the flow, so that fast tracks are lost sooner. Null: the flow does not matter [px]."""
-    landmarks: Literal["births", "field"] = "births"
+    landmarks: Literal["births", "field", "recognised"] = "births"
     """What new tracks follow. ``births``: points of their own, anywhere in the image. ``field``: points of a
     fixed field of facades and ground along the way, which can be found again, so that one landmark can have
-    several tracks; after a duplicated frame a track follows a point of its own there too."""
+    several tracks; after a duplicated frame a track follows a point of its own there too. ``recognised``: the
+    same field, and what is found again is recognised, so that the ids of tracks are those of landmarks."""
     field_per_metre: Positive = 10.0
     """Points of the field, in each metre of the way."""
     depth_min: Positive = 5.0
@@ -210,7 +223,7 @@ class SimulationConfig:
     """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
 
     def __post_init__(self) -> None:
-        """Reject swapped depths, axes that are none, and a recorded path without poses or the reverse."""
+        """Reject swapped depths, axes that are none, ids without a point, a recorded path without poses."""
         if self.depth_min > self.depth_max:
             raise ValueError(
                 f"depth_min must not be above depth_max, got {self.depth_min:g} and {self.depth_max:g}"
@@ -219,5 +232,16 @@ class SimulationConfig:
             axes_rotation(self.extrinsic_axes)
         except ValueError as error:
             raise ValueError(f"extrinsic_axes: {error}") from None
+        changing = {
+            "duplication_probability": self.duplication_probability > 0.0,
+            "redetect_below": self.redetect_below is not None,
+            "moving_share": self.moving_share > 0.0,
+        }
+        found = [name for name, given in changing.items() if given]
+        if self.landmarks == "recognised" and found:
+            raise ValueError(
+                f"landmarks: recognised has one static point for each id, which {' and '.join(found)} would "
+                "change: leave that out, or take landmarks: field"
+            )
         if (self.path == "recorded") != (self.recorded is not None):
             raise ValueError("path: recorded and the section recorded, with its file, go together: give both")

@@ -53,10 +53,16 @@ def shape(config: SimulationConfig, phases: Array, generator: np.random.Generato
     if config.path == "helix":
         rate = 2.0 * np.pi * _HELIX_TURNS / duration
         return Shape(lambda time: np.asarray(rate * time), np.ones_like, grade=_HELIX_GRADE)
-    if config.path == "loop":
-        heading = _circle(duration)
-        return Shape(heading, lambda time: _uneven(time, phases), by_way=False)
+    if config.path in ("loop", "circuit"):
+        return _round(config, duration, phases)
     return _town(config.path == "town", duration, phases, generator)
+
+
+def _round(config: SimulationConfig, duration: float, phases: Array) -> Shape:
+    """Once round a circle at an uneven speed, or several times at a constant one."""
+    if config.path == "circuit":
+        return Shape(_circle(duration / config.laps), np.ones_like)
+    return Shape(_circle(duration), lambda time: _uneven(time, phases), by_way=False)
 
 
 def _circle(duration: float) -> Callable[[Array], Array]:

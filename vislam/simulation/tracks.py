@@ -84,7 +84,7 @@ def simulate_tracks(
         np.empty((0, 2)),
         np.empty((0, 4)),
     )
-    field = landmark_field(config, world_T_cam, generator) if config.landmarks == "field" else None
+    field = landmark_field(config, world_T_cam, generator) if config.landmarks != "births" else None
     born, lengths = 0, []
     written: list[tuple[IntArray, Array, Array]] = []
     redetects, fewest = config.redetect_below is not None, config.redetect_below or 0.0
@@ -193,7 +193,7 @@ def _births(
     if config.matching_bias_share > 0.0:
         share = config.matching_bias_share * generator.standard_t(2.0, count)
         match = match + np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE)
-    ids = first + np.arange(count)
+    ids = found.landmark if config.landmarks == "recognised" else first + np.arange(count)
     new = _Alive(
         ids, found.landmark, found.point, velocity, match, np.zeros((count, 2)), np.empty((count, 4))
     )
