@@ -33,11 +33,27 @@ def test_a_body_that_moves_is_aligned_with_its_tracks():
 
 
 def test_a_body_at_rest_is_taken_for_one():
-    _, dataset = drive(frames=25, path="straight", speed=1e-6, hills_m=1e-9)
-    found = initialise(dataset.sequence, NOISE)
+    _, dataset = drive(frames=25)
+    moving, generator = dataset.sequence, np.random.default_rng(3)
+    first = np.arange(moving.offset[1])
+    rows = np.tile(first, len(moving))
+    bias, up = np.array([0.01, -0.02, 0.005]), np.array([0.0, 0.6, 0.8])
+    stamp = moving.imu.stamp
+    gyro = bias + 0.005 * generator.normal(size=(len(stamp), 3))
+    accel = NOISE.gravity * up + 0.05 * generator.normal(size=(len(stamp), 3))
+    still = replace(
+        moving,
+        offset=len(first) * np.arange(len(moving) + 1),
+        track=moving.track[rows],
+        pixels=moving.pixels[rows] + 0.2 * generator.normal(size=(len(rows), 4)),
+        row=np.arange(len(rows)),
+        imu=ImuSeries(stamp, gyro, accel),
+    )
+    found = initialise(still, NOISE)
     assert found.method == "static"
     assert not found.velocity.any()
-    assert np.linalg.norm(tilt_error(found, dataset)) < 4.0 * np.sqrt(np.trace(found.cov[:2, :2]))
+    assert np.abs(found.gyro_bias - bias).max() < 4.0 * np.sqrt(found.cov.diagonal()[5:8].max())
+    assert np.linalg.norm(found.world_R_imu.T[:, 2] - up) < 0.005
 
 
 def test_a_force_in_units_of_gravity_is_named():

@@ -15,7 +15,7 @@ _POSSIBLE = 2.0
 """A median force is that of gravity up to this factor."""
 _DEGREES = 180.0 / np.pi
 _TURNS = 0.02
-"""Spread of the rates by the tracks that tells the gyro's unit [rad/s]."""
+"""Spread of the rates, by the tracks or by the gyro, that tells the gyro's unit [rad/s]."""
 _MAGNITUDE, _SURE = 0.1, 5.0
 """Gravity is another if it is off by this share and by so many standard deviations."""
 
@@ -40,7 +40,8 @@ def check_turns(window: Window, noise: ImuNoise) -> None:
     slope, correlation = gyro_slope(window, noise)
     time = np.diff(window.stamp)[window.told, None, None]
     rates = (window.motion[window.told][:, :3, :3] - np.eye(3)) / time
-    if float(rates.std(axis=0).max()) < _TURNS:
+    own = np.array([step.gyro.mean(axis=0) for step in window.inertia])
+    if max(float(rates.std(axis=0).max()), float(own.std(axis=0).max())) < _TURNS:
         return
     if correlation > 0.5 and 1.0 / _NEAR < slope / _DEGREES < _NEAR:
         raise NotFoundError(
