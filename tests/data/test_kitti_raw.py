@@ -124,6 +124,48 @@ def test_poses_of_thinned_samples_lie_at_the_images(drive):
     assert np.allclose(recording.inertia.velocity[:, 0], 10.0)
 
 
+def test_gyro_and_accelerometer_are_those_about_the_body_s_own_axes(drive):
+    for number in range(0, 61, 7):
+        row = packet(0.01 * number)
+        # ax, ay, az, af, al, au; wx, wy, wz, wf, wl, wu: the second triples are levelled.
+        row[11:23] = 0.01 * number + np.arange(11, 23)
+        (drive / "oxts" / "data" / f"{number:010d}.txt").write_text(numbers(row))
+    found = open_images(drive)
+    series, second = found.inertia.series, 0.01 * np.arange(0, 61, 7)
+    assert np.allclose(series.stamp - found.stamp[0], second, rtol=0.0, atol=1e-6)
+    assert np.allclose(series.accel, second[:, None] + [11, 12, 13])
+    assert np.allclose(series.gyro, second[:, None] + [17, 18, 19])
+
+
+def test_samples_are_put_in_order_and_duplicates_go(drive):
+    second = 0.01 * np.arange(61)
+    second[[7, 14]] = second[[14, 7]]
+    second[28] = second[21]
+    (drive / "oxts" / "timestamps.txt").write_text(stamps(second))
+    found = open_images(drive)
+    assert np.all(np.diff(found.inertia.stamp) > 0.0)
+    assert found.counts["inertial_samples"] == 8
+    assert found.counts["inertial_duplicates"] == found.counts["inertial_out_of_order"] == 1
+
+
+def test_a_gap_of_thinned_samples_is_counted_and_not_known(drive):
+    for number in (28, 35, 42):
+        (drive / "oxts" / "data" / f"{number:010d}.txt").unlink()
+    found = open_images(drive)
+    series = found.inertia.series
+    assert series.counts["imu_gaps"] == 1
+    assert sum(step.missing for step in series.steps(found.stamp)) == pytest.approx(0.28, abs=1e-6)
+
+
+@pytest.mark.parametrize(("column", "unit"), [(11, r"m/s\^2"), (19, "rad/s")])
+def test_samples_that_no_sensor_measures_are_one_line(drive, column, unit):
+    row = packet(0.07)
+    row[column] = 1e5
+    (drive / "oxts" / "data" / "0000000007.txt").write_text(numbers(row))
+    with pytest.raises(DataError, match=f"oxts: .* {unit}, got 100000: is it in another unit"):
+        open_images(drive)
+
+
 def test_no_pose_is_made_up_in_a_gap():
     at = np.array([0.0, 0.1, 1.0, 1.1])
     table = np.array([packet(second) for second in at])
@@ -140,6 +182,18 @@ def test_no_pose_is_made_up_in_a_gap():
             "R must be 9 finite numbers, got 2",
         ),
         (lambda d: (d / "image_01" / "timestamps.txt").unlink(), "timestamps.txt: cannot be read"),
+        (
+            lambda d: (d / "oxts" / "data" / "0000000014.txt").write_text("1 2 3"),
+            "0000000014.txt:1: must hold 30 finite numbers, got 3 columns",
+        ),
+        (
+            lambda d: (d / "oxts" / "data" / "0000000014.txt").write_text("x " * 30),
+            "0000000014.txt:1: must hold 30 finite numbers, got 'x'",
+        ),
+        (
+            lambda d: (d / "oxts" / "timestamps.txt").write_text(stamps([0.0, 0.1]) + "soon\n"),
+            "timestamps.txt:3: must be a stamp as",
+        ),
         (
             lambda d: (d / "oxts" / "data" / "0000000099.txt").write_text(numbers(packet(0.99))),
             "sample 99 is none of them",

@@ -59,6 +59,21 @@ def end_of(sequence):
     return pose
 
 
+def test_an_unsynced_folder_has_raw_inertia_and_a_synced_one_none(tmp_path):
+    sequence, _, stamp, twist = at_100_hz(seed=2)
+    write_stamps(tmp_path / "camera.txt", 9.0 + sequence.stamp)
+    folder = write_oxts(
+        tmp_path / "oxts", 9.0 + np.delete(stamp, slice(100, 130)), np.delete(twist, slice(100, 130), 0)
+    )
+    read = with_oxts(sequence, folder, camera_timestamps=tmp_path / "camera.txt")
+    assert np.array_equal(read.imu.stamp, read.inertial_stamp)
+    assert np.allclose(read.imu.gyro, read.twist[:, :3])
+    assert np.all(read.imu.accel == 777.0)
+    assert read.imu.counts["imu_gaps"] == 1
+    synced = write_oxts(tmp_path / "synced", sequence.stamp, sequence.twist)
+    assert with_oxts(sequence, synced, camera_timestamps=None).imu is None
+
+
 def test_a_synced_folder_gives_the_samples_of_the_frames(tmp_path):
     sequence, _ = simulate(DRIVE, seed=1, name="drive")
     folder = write_oxts(tmp_path / "oxts", sequence.stamp, sequence.twist)

@@ -8,6 +8,7 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.images import Inertia
 from vislam.datasets.calibration_yaml import Camchain
+from vislam.datasets.checks import LARGEST_FORCE, LARGEST_TWIST, Checks
 from vislam.datasets.image_lists import NANOSECONDS
 
 _FEWEST = 2
@@ -34,7 +35,7 @@ def inertia_of(table: Array, chain: Camchain | None, *, where: Path) -> tuple[In
     Raises
     ------
     DataError
-        If there are fewer than two samples.
+        If there are fewer than two samples, or no sensor can measure them.
     """
     stamp, first = np.unique(table[:, 0], return_index=True)
     if len(stamp) < _FEWEST:
@@ -47,4 +48,14 @@ def inertia_of(table: Array, chain: Camchain | None, *, where: Path) -> tuple[In
         "inertial_out_of_order": int(np.sum(np.diff(table[:, 0]) < 0)),
     }
     at = stamp * NANOSECONDS - (0.0 if chain is None else chain.shift)
-    return Inertia(at, table[first, 1:4], accelerometer=table[first, 4:7]), counts
+    gyro, accelerometer = possible(table[first, 1:4], table[first, 4:7], where=where)
+    return Inertia(at, gyro, accelerometer=accelerometer), counts
+
+
+def possible(gyro: Array, accelerometer: Array, *, where: Path) -> tuple[Array, Array]:
+    """Samples ``(S, 3)`` each [rad/s, m/s^2] as they are; DataError if no sensor can measure them."""
+    checks = Checks(where)
+    return (
+        checks.numbers("gyro", gyro, largest=LARGEST_TWIST, unit="rad/s"),
+        checks.numbers("accelerometer", accelerometer, largest=LARGEST_FORCE, unit="m/s^2"),
+    )

@@ -14,6 +14,7 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array
 from vislam.core.images import ImageRecording, Inertia, StampedPoses
 from vislam.datasets.image_lists import NANOSECONDS, ImageFiles, Listed, paired
+from vislam.datasets.inertial_table import possible
 from vislam.datasets.kitti_calibration import matrix_of, numbered, read_calibration, rotation_of
 from vislam.datasets.oxts import ACCELEROMETER, GYRO, read_oxts, read_timestamps
 from vislam.datasets.oxts_poses import oxts_poses
@@ -133,6 +134,11 @@ def _oxts(folder: Path, stamp: Array) -> tuple[Inertia, StampedPoses, dict[str, 
     stamp_ns, table = read_oxts(folder)
     _, first = np.unique(stamp_ns, return_index=True)
     at, table = np.asarray(stamp_ns[first] * NANOSECONDS, dtype=np.float64), table[first]
-    counts = {"inertial_samples": len(at), "inertial_duplicates": len(stamp_ns) - len(at)}
-    inertia = Inertia(at, table[:, GYRO], velocity=table[:, 8:11], accelerometer=table[:, ACCELEROMETER])
+    counts = {
+        "inertial_samples": len(at),
+        "inertial_duplicates": len(stamp_ns) - len(at),
+        "inertial_out_of_order": int(np.sum(np.diff(stamp_ns) < 0)),
+    }
+    gyro, accelerometer = possible(table[:, GYRO], table[:, ACCELEROMETER], where=folder)
+    inertia = Inertia(at, gyro, velocity=table[:, 8:11], accelerometer=accelerometer)
     return inertia, oxts_poses(at, table, stamp), counts

@@ -19,6 +19,7 @@ from vislam.base.errors import DataError
 from vislam.base.types import Array, IntArray
 from vislam.core.imu import ImuSeries
 from vislam.core.sequence import Sequence
+from vislam.datasets.inertial_table import possible
 from vislam.datasets.text import read_lines, read_table
 
 _COLUMNS = 30
@@ -68,7 +69,7 @@ def with_oxts(sequence: Sequence, folder: Path, *, camera_timestamps: Path | Non
         duplicates = int(np.sum(~fresh))
         stamp, table = stamp[fresh], table[fresh]
         _check(stamp, folder / "timestamps.txt", sequence.stamp)
-        imu = ImuSeries(stamp, table[:, GYRO], table[:, ACCELEROMETER])
+        imu = ImuSeries(stamp, *possible(table[:, GYRO], table[:, ACCELEROMETER], where=folder))
     parts = [sequence.digest.encode(), stamp.tobytes(), table.tobytes()]
     return replace(
         sequence,
