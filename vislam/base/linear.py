@@ -6,6 +6,8 @@ from vislam.base.types import Array
 
 _LEAST = 1e-12
 """Information, beside 1, that each unknown has after scaling."""
+_NOTHING = 1e-290
+"""Information of an unknown that data say nothing of: its variance, ``1 / (_LEAST * _NOTHING)``, is finite."""
 
 
 def scaled(information: Array) -> tuple[Array, Array]:
@@ -14,7 +16,7 @@ def scaled(information: Array) -> tuple[Array, Array]:
     Of an unknown that is known 1e10 times better than another, next to nothing would be left of the other by
     rounding; scaled, they stand side by side.
     """
-    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), _NOTHING))
     one = information / scale[..., :, None] / scale[..., None, :]
     return one + _LEAST * np.eye(information.shape[-1]), scale
 
