@@ -1,4 +1,4 @@
-"""Dead reckoning (course report, section III-A): the inertial data integrated, with their covariance."""
+"""Dead reckoning (course report, section III-A): the twist integrated, with its covariance."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,8 @@ from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS, Final, State, Step
 from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, POSE
-from vislam_baselines.twist import Integration, step_twist
+from vislam_baselines.inertial_reckoning import InertialReckoning
+from vislam_baselines.twist import Integration, require_twist, step_twist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -29,10 +30,14 @@ class DeadReckoningOptions:
     m^2]; the bias is then held to be known. null: the noise of the comparison."""
 
 
-def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning":
-    """Build dead reckoning from a problem and the options of its config section."""
+def build(problem: Problem, options: Mapping[str, Any]) -> "DeadReckoning | InertialReckoning":
+    """Build dead reckoning, by raw inertia where that is the model of motion; options are of the twist."""
     parsed = settings.parse(DeadReckoningOptions, dict(options), at="estimators.dead_reckoning")
-    return DeadReckoning(problem, parsed)
+    if problem.imu is None:
+        return DeadReckoning(problem, parsed)
+    for name in options:
+        require_twist(problem, f"estimators.dead_reckoning.{name}")
+    return InertialReckoning(problem)
 
 
 class DeadReckoning:

@@ -19,6 +19,7 @@ from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE, MotionNoise
 from vislam_baselines.observations import NEAREST, Observations, look, pixel_variances
 from vislam_baselines.saved import SavedRun
+from vislam_baselines.twist import require_twist
 
 _OTHER_MAP_PX = 20.0
 """A map half of whose points are farther from the pixels, seen from its own pose, is of other tracks."""
@@ -42,6 +43,7 @@ class KnownMapOptions:
 
 def build(problem: Problem, options: Mapping[str, Any]) -> "KnownMap":
     """Build the localisation from a problem and the options of its config section."""
+    require_twist(problem, "estimators.known_map")
     return KnownMap(problem, settings.parse(KnownMapOptions, dict(options), at="estimators.known_map"))
 
 

@@ -18,6 +18,7 @@ from vislam_baselines.dead_reckoning import DeadReckoning, DeadReckoningOptions
 from vislam_baselines.landmarks import IndependentLandmarks, initialise, update
 from vislam_baselines.observations import NEAREST, SMALLEST_DISPARITY, look, pixel_variances
 from vislam_baselines.saved import SavedRun
+from vislam_baselines.twist import require_twist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -51,6 +52,7 @@ class MappingOnly:
         self._saved: SavedRun | None = None
         if options.poses != "dead_reckoning":
             self._saved = SavedRun(options.poses, at="estimators.mapping_only.poses")
+        require_twist(problem, "estimators.mapping_only")
         self._reckoning = DeadReckoning(problem, DeadReckoningOptions(integration="first"))
         self._in_view = IndependentLandmarks(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
         self._left: list[IndependentLandmarks] = []

@@ -28,7 +28,7 @@ from vislam.models import odometry as motion
 from vislam.models.odometry import BIAS, NAV, POSE
 from vislam_baselines.landmarks import IndependentLandmarks, initialise
 from vislam_baselines.observations import NEAREST, pixel_variances
-from vislam_baselines.twist import Integration, step_twist
+from vislam_baselines.twist import Integration, require_twist, step_twist
 
 _NO_DEPTH = 1e-2
 """A landmark nearer than this to the plane of the camera, before or behind it, has no observation [m]."""
@@ -84,6 +84,7 @@ RENAMED_VALUES = {"ended_tracks": {"dropped": "marginalised"}}
 def build(problem: Problem, options: Mapping[str, Any]) -> "ReportEkf":
     """Build the filter from a problem and the options of its config section."""
     at = "estimators.report_ekf"
+    require_twist(problem, at)
     renamed = current(options, at=at, names=RENAMED, values=RENAMED_VALUES)
     return ReportEkf(problem, settings.parse(ReportEkfOptions, renamed, at=at))
 

@@ -10,6 +10,7 @@ from vislam.comparison.config import Config, DataConfig, ImuNoiseConfig, NoiseCo
 from vislam.comparison.open import open_dataset
 from vislam.core.estimator import find
 from vislam.estimators import loop
+from vislam.geometry import se3
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 from vislam.simulation.settings import ImuSimulation
@@ -42,11 +43,14 @@ def ran(name, config, dataset, **options):
     return solver, loop.run(solver, dataset.sequence, pixel_sigma(config, dataset), name=name)
 
 
+def pose_error(run, dataset):
+    """Error ``(T, 6)`` of the poses, on their right, in the world that both share."""
+    return se3.local(run.final.world_T_imu, dataset.reference.pose)
+
+
 def errors(run, dataset):
     """Errors of position [m] and attitude [rad], ``(T,)`` each, in the world that both share."""
-    from vislam.geometry import se3
-
-    error = se3.local(run.final.world_T_imu, dataset.reference.pose)
+    error = pose_error(run, dataset)
     return np.linalg.norm(error[:, 3:], axis=1), np.linalg.norm(error[:, :3], axis=1)
 
 
