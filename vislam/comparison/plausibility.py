@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.rigid_fit import FEWEST, continuations, fit_rigid
+from vislam.core.rigid_fit import FEWEST, Continuations, continuations, fit_frames
 from vislam.core.sequence import Sequence
 from vislam.geometry import so3
 from vislam.repair.tracks import DuplicatedTracks
@@ -131,14 +131,19 @@ def motion_ratios(sequence: Sequence) -> Ratios:
     z, rig = usable.z, usable.rig
     points = rig.back_project(z)
     rows = []
-    for k in frames:
-        old, new = (part[pairs.start[k] : pairs.start[k + 1]] for part in (pairs.before, pairs.after))
-        flow = float(np.median(np.linalg.norm(z[new] - z[old], axis=1)))
-        if flow < _SMALLEST_FLOW_PX:
-            continue
-        spread = np.ones((len(old), 3))
-        fit = fit_rigid(rig, points[old], z[new], spread=spread, guess=np.eye(4))
-        if float(np.median(np.abs(fit.residual * fit.spread))) > _EXPLAINED * flow:
+    flow = np.array([_median_flow(z, pairs, k) for k in frames.tolist()])
+    frames, flow = frames[flow >= _SMALLEST_FLOW_PX], flow[flow >= _SMALLEST_FLOW_PX]
+    fits = fit_frames(
+        rig,
+        points,
+        z,
+        pairs=pairs,
+        frames=frames,
+        spread=np.ones_like(z),
+        guess=np.broadcast_to(np.eye(4), (len(frames), 4, 4)),
+    )
+    for k, moved, fit in zip(frames, flow, fits, strict=True):
+        if float(np.median(np.abs(fit.residual * fit.spread))) > _EXPLAINED * moved:
             continue
         dt = sequence.stamp[k] - sequence.stamp[k - 1]
         sigma = np.sqrt(np.diagonal(fit.cov))
@@ -158,6 +163,12 @@ def motion_ratios(sequence: Sequence) -> Ratios:
     turn_ratio, turn_spread, _ = _ratio(table[:, 3], table[:, 1])
     least = float(np.median(table[:, 3] / table[:, 4])) if len(table) >= _FEWEST_FRAMES else float("nan")
     return Ratios(distance_ratio, turn_ratio, least, distance_spread, turn_spread, count)
+
+
+def _median_flow(z: Array, pairs: Continuations, k: int) -> float:
+    """Median of how far the tracks that continue into a frame have moved in it [px]."""
+    old, new = (part[pairs.start[k] : pairs.start[k + 1]] for part in (pairs.before, pairs.after))
+    return float(np.median(np.linalg.norm(z[new] - z[old], axis=1)))
 
 
 def _ratio(inertial: Array, seen: Array) -> tuple[float, float, int]:

@@ -7,10 +7,12 @@ a spread that grows with the disparity: a tracker slips by a share of the flow.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from vislam.base.types import Array, IntArray
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 from vislam.models import StereoRig
@@ -25,7 +27,9 @@ _SHARE = np.array([0.02, 0.012, 0.02])
 _MEDIAN_CHI3 = 1.538
 """Median of a chi distribution with three degrees of freedom."""
 _TUNING = 2.0
-_ITERATIONS = 12
+_ITERATIONS, _CONVERGED = 12, 1e-6
+_BLOCK = 8192
+"""Pairs of the frames that are fitted together: as many as arrays of this size stay near the processor."""
 _RIDGE, _RELATIVE_RIDGE = 1e-6, 1e-14
 _SMALLEST_SCALE = 0.2
 
@@ -112,11 +116,45 @@ def rigid_fits(sequence: Sequence, pairs: Continuations) -> dict[int, RigidFit]:
     points = sequence.rig.back_project(z)
     spread = step_spread(sequence.disparity)
     guess = predicted_steps(sequence)
-    fits = {}
-    for k in np.flatnonzero(np.diff(pairs.start) >= FEWEST):
-        rows = slice(pairs.start[k], pairs.start[k + 1])
+    frames = np.flatnonzero(np.diff(pairs.start) >= FEWEST)
+    fits = fit_frames(sequence.rig, points, z, pairs=pairs, frames=frames, spread=spread, guess=guess[frames])
+    return dict(zip(frames.tolist(), fits, strict=True))
+
+
+def fit_frames(
+    rig: StereoRig,
+    points: Array,
+    z: Array,
+    *,
+    pairs: Continuations,
+    frames: IntArray,
+    spread: Array,
+    guess: Array,
+) -> list[RigidFit]:
+    """Robust fits of the motion into each of some frames, many frames at a time.
+
+    Parameters
+    ----------
+    rig : StereoRig
+    points : (n, 3)
+        Of each observation of the sequence, in its camera [m].
+    z : (n, 3)
+        Measurements of the sequence [px].
+    pairs : Continuations
+    frames : (F,)
+        Ascending; each with at least one pair.
+    spread : (n, 3)
+        Expected spread of the step from each observation, up to a common factor [px].
+    guess : (F, 4, 4)
+        Motions to start from.
+    """
+    count = np.diff(pairs.start)[frames]
+    fits: list[RigidFit] = []
+    for block in _blocks(count):
+        rows = np.concatenate([np.arange(*pairs.start[k : k + 2]) for k in frames[block]])
         old, new = pairs.before[rows], pairs.after[rows]
-        fits[int(k)] = fit_rigid(sequence.rig, points[old], z[new], spread=spread[old], guess=guess[k])
+        votes = _Votes(rig, points[old], z[new], spread[old], count[block])
+        fits += votes.fits(guess[block])
     return fits
 
 
@@ -135,29 +173,104 @@ def fit_rigid(rig: StereoRig, points: Array, z: Array, *, spread: Array, guess: 
     guess : (4, 4)
         Motion to start from.
     """
-    motion = guess
-    for _ in range(_ITERATIONS):
-        moved = _in_front(se3.transform(motion, points), rig.nearest)
-        residual = (z - rig.project(moved)) @ MIXING.T / spread
-        jacobian = rig.projection_jacobian(moved)
-        jacobian = np.concatenate([-jacobian @ so3.hat(moved), jacobian], axis=2)
-        jacobian = MIXING @ jacobian / spread[:, :, None]
-        square = np.einsum("ni,ni->n", residual, residual)
-        scale = robust_scale(square)
-        weight = robust_weight(square, scale)
-        weighted = (weight[:, None, None] * jacobian).reshape(-1, 6)
-        information = weighted.T @ jacobian.reshape(-1, 6)
+    return _Votes(rig, points, z, spread, np.array([len(points)])).fits(guess[None])[0]
+
+
+def _blocks(count: IntArray) -> list[slice]:
+    """Successive frames that have some ``_BLOCK`` pairs together, as slices of the frames."""
+    of = np.cumsum(count) // _BLOCK
+    ends = [*(np.flatnonzero(np.diff(of)) + 1).tolist(), len(count)]
+    return [slice(first, last) for first, last in pairwise([0, *ends]) if last > first]
+
+
+@dataclass(frozen=True)
+class _Votes:
+    """Pairs of some frames, those of a frame on end; ``F`` frames, ``n`` pairs.
+
+    Attributes
+    ----------
+    rig : StereoRig
+    points : (n, 3)
+        In the camera before [m].
+    z : (n, 3)
+        Measurements in the camera after [px].
+    spread : (n, 3)
+        Expected spread up to a factor of the frame [px].
+    count : (F,)
+        Pairs of each frame, at least one.
+    """
+
+    rig: StereoRig
+    points: Array
+    z: Array
+    spread: Array
+    count: IntArray
+
+    @cached_property
+    def frame(self) -> IntArray:
+        """Frame of each pair, ``(n,)``."""
+        return np.repeat(np.arange(len(self.count)), self.count)
+
+    @cached_property
+    def first(self) -> IntArray:
+        """First pair of each frame, ``(F,)``."""
+        return np.asarray(np.cumsum(self.count) - self.count)
+
+    def fits(self, guess: Array) -> list[RigidFit]:
+        """Fit of each frame from a guess ``(F, 4, 4)``, by iterated reweighting."""
+        motion, information = guess.copy(), np.empty((len(guess), 6, 6))
+        going, votes = np.arange(len(guess)), self
+        for _ in range(_ITERATIONS):
+            step, information[going] = votes._step(motion[going])
+            motion[going] = se3.exp(step) @ motion[going]
+            on = ~(np.abs(step).max(axis=1) < _CONVERGED)
+            if not on.all():
+                going, votes = going[on], votes._of(on)
+            if not len(going):
+                break
+        residual = self._residual(self._moved(motion))
+        scale = self._scale(_square(residual))
+        cov = scale[:, None, None] ** 2 * np.linalg.inv(information)
+        each = scale[self.frame, None]
+        parts = (np.split(part, self.first[1:]) for part in (residual / each, self.spread * each))
+        return [RigidFit(*fit) for fit in zip(motion, *parts, cov, strict=True)]
+
+    def _of(self, frames: BoolArray) -> "_Votes":
+        """Those of a mask ``(F,)`` of the frames."""
+        rows = frames[self.frame]
+        return _Votes(self.rig, self.points[rows], self.z[rows], self.spread[rows], self.count[frames])
+
+    def _step(self, motion: Array) -> tuple[Array, Array]:
+        """Correction ``(F, 6)`` of motions on their left, and its information ``(F, 6, 6)``."""
+        moved = self._moved(motion)
+        residual = self._residual(moved)
+        square = _square(residual)
+        weight = robust_weight(square, self._scale(square)[self.frame])
+        by_point = MIXING @ self.rig.projection_jacobian(moved) / self.spread[:, :, None]
+        jacobian = np.concatenate([-by_point @ so3.hat(moved), by_point], axis=2)
+        weighted = (weight[:, None, None] * jacobian).transpose(0, 2, 1)
+        information = np.add.reduceat(weighted @ jacobian, self.first)
         # From a bad guess the points can all come to lie in one direction, which leaves the rest open.
-        information += (_RIDGE + _RELATIVE_RIDGE * np.trace(information)) * np.eye(6)
-        step = np.linalg.solve(information, weighted.T @ residual.reshape(-1))
-        motion = se3.exp(step) @ motion
-        if np.abs(step).max() < 1e-6:
-            break
-    moved = _in_front(se3.transform(motion, points), rig.nearest)
-    residual = (z - rig.project(moved)) @ MIXING.T / spread
-    scale = robust_scale(np.einsum("ni,ni->n", residual, residual))
-    cov = np.asarray(scale**2 * np.linalg.inv(information))
-    return RigidFit(motion, residual / scale, spread * scale, cov)
+        ridge = _RIDGE + _RELATIVE_RIDGE * np.trace(information, axis1=1, axis2=2)
+        information += ridge[:, None, None] * np.eye(6)
+        pull = np.add.reduceat(weighted @ residual[:, :, None], self.first)
+        return np.linalg.solve(information, pull)[:, :, 0], information
+
+    def _moved(self, motion: Array) -> Array:
+        """Points after the motion of their frame, with depths held off zero: a bad guess projects too."""
+        pose = motion[self.frame]
+        moved = np.einsum("nij,nj->ni", pose[:, :3, :3], self.points) + pose[:, :3, 3]
+        moved[:, 2] = np.maximum(moved[:, 2], self.rig.nearest)
+        return moved
+
+    def _residual(self, moved: Array) -> Array:
+        return np.asarray((self.z - self.rig.project(moved)) @ MIXING.T / self.spread)
+
+    def _scale(self, square: Array) -> Array:
+        """Robust standard deviation of each frame, ``(F,)``, from the squared norms of residuals."""
+        ordered = square[np.lexsort((square, self.frame))]
+        low, high = self.first + (self.count - 1) // 2, self.first + self.count // 2
+        return _as_scale(0.5 * (ordered[low] + ordered[high]))
 
 
 def step_spread(disparity: Array) -> Array:
@@ -165,16 +278,20 @@ def step_spread(disparity: Array) -> Array:
     return np.asarray(_FLOOR_PX + _SHARE * disparity[:, None])
 
 
-def robust_weight(square: Array, scale: float) -> Array:
+def robust_weight(square: Array, scale: float | Array) -> Array:
     """Geman-McClure weights of residuals, from their squared norms."""
     return np.asarray(1.0 / (1.0 + square / (_TUNING * scale) ** 2) ** 2)
 
 
 def robust_scale(square: Array) -> float:
     """Robust standard deviation of residuals, from their squared norms."""
-    return max(float(np.sqrt(np.median(square))) / _MEDIAN_CHI3, _SMALLEST_SCALE)
+    return float(_as_scale(float(np.median(square))))
 
 
-def _in_front(points_cam: Array, nearest: float) -> Array:
-    """Points with their depth held off zero, so that a bad guess projects somewhere."""
-    return np.column_stack([points_cam[:, :2], np.maximum(points_cam[:, 2], nearest)])
+def _as_scale(median_square: Array | float) -> Array:
+    """Standard deviation at which residuals have a median of their squared norms."""
+    return np.asarray(np.maximum(np.sqrt(median_square) / _MEDIAN_CHI3, _SMALLEST_SCALE))
+
+
+def _square(residual: Array) -> Array:
+    return np.asarray(np.einsum("ni,ni->n", residual, residual))
