@@ -193,6 +193,8 @@ class WholeGraph(_Read):
         # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
         self._given = 0
         self._anchor: tuple[int, int] | None = None
+        # What the last update eliminated last.
+        self._last = gtsam.KeyGroupMap()
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
         self._solver = gtsam.ISAM2(parameters)
@@ -222,7 +224,7 @@ class WholeGraph(_Read):
             order.append([A(frame)])
         self._given += graph.size()
         parameters.removeFactorIndices = remove
-        last = gtsam.KeyGroupMap()
+        self._last = last = gtsam.KeyGroupMap()
         # What has no group comes first, with group 0; at the first frame there is nothing of the kind, and as
         # many groups as variables with another would be one too many.
         for group, keys in enumerate(filter(len, order), start=min(frame, 1)):
@@ -264,6 +266,7 @@ class WholeGraph(_Read):
         everything = gtsam.ISAM2UpdateParams()
         everything.force_relinearize = self._every > 0
         everything.forceFullSolve = True
+        everything.constrainedKeys = self._last
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
 
     def factors(self) -> gtsam.NonlinearFactorGraph:

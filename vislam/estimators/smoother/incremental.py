@@ -36,7 +36,8 @@ class SmootherEstimator:
     """Poses, twist biases and landmarks in one graph, of the whole sequence or of a lag.
 
     Only variables observed in the last frames are relinearised in between: the linearisation of what lies
-    behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is.
+    behind hardly matters for what comes, and redoing it costs the whole tree. In the end everything is, and
+    after a step whose solution is farther from its prediction than one linearisation is good for.
 
     A step that GTSAM cannot solve is not the end. Its factors and its linearisation point are still there,
     and from these, without the landmarks that broke it, the solver is rebuilt and the step repeated. The
@@ -76,7 +77,11 @@ class SmootherEstimator:
         self._recovery = Recovery(problem.rig, options, self._solver)
         self._frames: list[Frame] = []
         self._events: list[str] = []
-        self._counts = {"observations_used_late": 0, "final_iterations_undone": 0}
+        self._counts = {
+            "observations_used_late": 0,
+            "final_iterations_undone": 0,
+            "steps_relinearised_whole": 0,
+        }
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
@@ -86,6 +91,7 @@ class SmootherEstimator:
         solver = self._solver
         self._frames.append(frame)
         solver.predict(frame)
+        predicted = solver.poses[-1]
         self._motion.insert(values, frame, solver.poses[-1])
         sights = [(track, track.views[-1]) for track in solver.tracks.take(frame, oldest=solver.held().start)]
         for track in solver.start():
@@ -101,6 +107,7 @@ class SmootherEstimator:
         solver.keep_leaving(frame)
         try:
             solver.update(frame, graph, values, owners, now)
+            self._counts["steps_relinearised_whole"] += solver.settle(frame, predicted)
         except IndeterminateError as error:
             self._recovery.repeat(frame, error)
         self._recovery.go_on(frame)

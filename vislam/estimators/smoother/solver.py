@@ -20,6 +20,12 @@ from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedW
 from vislam.geometry import se3
 from vislam.models import StereoRig
 
+_TURNED, _MOVED = 0.05, 0.1
+"""A solution that turned the newest pose by more [rad], or moved it by more than this share of the median
+depth in view, is beyond what one linearisation is good for."""
+_ITERATIONS = 5
+"""Relinearisations of everything after one step, at most."""
+
 
 class Solver:
     """An engine with the tracks and poses that it holds.
@@ -159,6 +165,49 @@ class Solver:
             raise
         _place(owners, slots)
         self._read(frame)
+
+    def settle(self, frame: Frame, before: Array) -> bool:
+        """Relinearise everything while the newest pose goes on moving by more than a linearisation is good for.
+
+        What rests stays where it was linearised, and a solution that is far from there is none. With little
+        in view for some time, or where a landmark is seen again, one step corrects much of the drive.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest, solved once.
+        before : (4, 4)
+            Its pose before that.
+
+        Returns
+        -------
+        bool
+            Whether it was necessary.
+
+        Raises
+        ------
+        IndeterminateError
+            If GTSAM cannot solve it.
+        """
+        if self._options.lag_s is not None or self._options.relinearize_every == 0:
+            return False
+        limit = np.repeat([_TURNED, _MOVED * self._depth_in_view(frame)], 3)
+        for iteration in range(_ITERATIONS):
+            moved = se3.local(before, self.poses[-1]) / limit
+            if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])) <= 1.0:
+                return iteration > 0
+            before = self.poses[-1]
+            self.engine.converge()
+            self._read(frame)
+        return True
+
+    def _depth_in_view(self, frame: Frame) -> float:
+        """Median depth of what a frame sees [m]; infinite if it sees nothing."""
+        z = frame.stereo.z[frame.stereo.usable]
+        if not len(z):
+            return np.inf
+        disparity = max(float(np.median(z[:, 0] - z[:, 1])), self._options.min_disparity_px)
+        return self._rig.fx * self._rig.baseline / disparity
 
     def reject(self, tracks: Sequence[Track]) -> None:
         """Fuse these tracks no more, and take their factors out with the next update."""
