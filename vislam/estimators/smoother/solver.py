@@ -167,7 +167,7 @@ class Solver:
         self._read(frame)
 
     def settle(self, frame: Frame, before: Array) -> bool:
-        """Relinearise everything while the newest pose goes on moving by more than a linearisation is good for.
+        """Relinearise everything while the newest pose moves by more than a linearisation is good for.
 
         What rests stays where it was linearised, and a solution that is far from there is none. With little
         in view for some time, or where a landmark is seen again, one step corrects much of the drive.
