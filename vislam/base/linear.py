@@ -7,7 +7,7 @@ from vislam.base.types import Array
 _LEAST = 1e-12
 """Information, beside 1, that each unknown has after scaling."""
 _NOTHING = 1e-290
-"""Information of an unknown that no data tell of: its variance, ``1 / (_LEAST * _NOTHING)``, is finite."""
+"""Information where data say nothing; the variance, ``1 / (_LEAST * _NOTHING)``, is finite."""
 
 
 def scaled(information: Array) -> tuple[Array, Array]:

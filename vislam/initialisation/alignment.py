@@ -65,13 +65,13 @@ def align(window: Window, noise: ImuNoise) -> Aligned:
     return Aligned(bias, solution[0], solution[1], float(sigma))
 
 
-def gyro_slope(window: Window, noise: ImuNoise) -> tuple[float, float]:
+def gyro_slope(window: Window) -> tuple[float, float]:
     """Turns of the gyro by those of the tracks: the slope, and the correlation of the two.
 
-    Both less their means, over steps that the tracks tell.
+    Both less their means, over steps that the tracks tell. Those of the gyro are means of its rates: rates in
+    degrees, taken for radians, come round within a step.
     """
-    steps = window.preintegrated(noise, np.zeros(3), np.zeros(3))
-    gyro = np.array([so3.log(step.rotation) / step.time for step in steps])[window.told]
+    gyro = np.array([step.dt @ step.mean_gyro / step.dt.sum() for step in window.inertia])[window.told]
     time = np.diff(window.stamp)[window.told, None]
     seen = so3.log(window.motion[window.told][:, :3, :3]) / time
     gyro, seen = gyro - gyro.mean(axis=0), seen - seen.mean(axis=0)

@@ -68,7 +68,7 @@ def _dynamic(whole: Window, still: Still, noise: ImuNoise, settings: Initialisat
             f"{rest}, and tracks must tell {settings.covered:.0%} of the steps, {_FEWEST_STEPS} at least, "
             f"got {told} of {len(whole)}: more tracks are needed at the beginning"
         )
-    check_turns(whole, noise)
+    check_turns(whole)
     found, window, tilt = None, whole, np.inf
     for seconds in settings.windows:
         steps = int(np.searchsorted(whole.stamp, whole.stamp[0] + seconds + 1e-9, side="right")) - 1

@@ -27,17 +27,19 @@ def check_force(window: Window, noise: ImuNoise) -> None:
     ratio = median / noise.gravity
     if 1.0 / _POSSIBLE < ratio < _POSSIBLE:
         return
-    unit = next((name for name, size in _UNITS.items() if 1.0 / _NEAR < ratio / size < _NEAR), None)
-    guess = f"it looks like {unit}, divide by {_UNITS[unit]:.4g}" if unit else "look at its unit"
+    # The magnitude does not tell cm/s^2 from mg, which differ by 2 %.
+    units = {name: f"{size:.4g}" for name, size in _UNITS.items() if 1.0 / _NEAR < ratio / size < _NEAR}
+    guess = f"it looks like {' or '.join(units)}, divide by {' or '.join(units.values())}"
+    guess = guess if units else "look at its unit"
     raise NotFoundError(
         f"the accelerometer must show gravity, {noise.gravity:.2f} m/s^2, got {median:.3g} (median of its "
         f"magnitude): {guess}"
     )
 
 
-def check_turns(window: Window, noise: ImuNoise) -> None:
+def check_turns(window: Window) -> None:
     """Raise NotFoundError if gyro and tracks turn by other angles, or about other axes."""
-    slope, correlation = gyro_slope(window, noise)
+    slope, correlation = gyro_slope(window)
     time = np.diff(window.stamp)[window.told, None, None]
     rates = (window.motion[window.told][:, :3, :3] - np.eye(3)) / time
     own = np.array([step.gyro.mean(axis=0) for step in window.inertia])
