@@ -35,7 +35,7 @@ class EkfOptions:
     observability: bool = False
     """Measure the spurious information that the filter gains along the unobservable directions; takes half as
     long again."""
-    memory_mb: Positive = 1024.0
+    memory_mb: Positive = 512.0
     """Memory of the backward pass. What does not fit is computed once more."""
 
     def __post_init__(self) -> None:
