@@ -24,13 +24,17 @@ from vislam.base.types import Array
 from vislam.comparison.config import Config, DataConfig, NoiseConfig
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.smoother import SmootherOptions
+from vislam.estimators.smoother.family import VARIANTS
 from vislam.repair import RepairConfig
 from vislam.simulation import SimulationConfig
 
 DRIVES: Mapping[str, Sequence[int]] = {"ekf": (1_000, 10_000), "isam2": (1_000, 3_000)}
 """Frames of the drives of each estimator; the graph of isam2 grows by a megabyte a frame."""
+NAMES = ("ekf", *VARIANTS)
+"""Estimators that can be run."""
+TRACKS = 66.0
+"""Tracks in view; with these, tracks are as dense as recorded ones."""
 _SIMULATION = SimulationConfig(
-    tracks_in_view=66.0,
     # With this, tracks are as long as recorded ones: seen at a frame, one of 03.npz has 9.2 views, here 10.2.
     loss_probability=0.1,
     pixel_sigma_px=0.3,
@@ -66,9 +70,9 @@ class Growth:
         return self.late_s / self.early_s
 
 
-def growth(drives: Mapping[str, Sequence[int]], *, window: int, warm: int) -> Part:
+def growth(drives: Mapping[str, Sequence[int]], *, window: int, warm: int, tracks: float = TRACKS) -> Part:
     """Run the estimators over their drives; the first window begins after ``warm`` frames."""
-    jobs = [(name, frames, window, warm) for name, each in drives.items() for frames in each]
+    jobs = [(name, frames, window, warm, tracks) for name, each in drives.items() for frames in each]
     with ProcessPoolExecutor(
         1,
         mp_context=get_context("spawn"),
@@ -78,7 +82,7 @@ def growth(drives: Mapping[str, Sequence[int]], *, window: int, warm: int) -> Pa
     ) as pool:
         found = list(pool.map(grown, *zip(*jobs, strict=True)))
     return Part(
-        title="growth: simulated drives, mean time of a step",
+        title=f"growth: simulated drives, {tracks:g} tracks in view, mean time of a step",
         header=["estimator", "frames", "early [ms]", "late [ms]", "late/early", "memory a frame [kB]"],
         rows=[
             [
@@ -96,9 +100,9 @@ def growth(drives: Mapping[str, Sequence[int]], *, window: int, warm: int) -> Pa
     )
 
 
-def grown(estimator: str, frames: int, window: int, warm: int) -> Growth:
+def grown(estimator: str, frames: int, window: int, warm: int, tracks: float = TRACKS) -> Growth:
     """Simulate a drive and run an estimator over it, in this process."""
-    drive = Drive.open(_config(frames))
+    drive = Drive.open(_config(frames, tracks))
     before, peak = PeakMemory(), PeakMemory()
 
     def watch(k: int) -> None:
@@ -114,7 +118,7 @@ def grown(estimator: str, frames: int, window: int, warm: int) -> Growth:
     if estimator == "ekf":
         times = _filtered(drive, watch)
     else:
-        times = smoothed(drive, SmootherOptions(), on_frame=watch).step_time
+        times = smoothed(drive, SmootherOptions(**VARIANTS[estimator]), on_frame=watch).step_time
     early, late = times[warm : warm + window].mean(), times[-window:].mean()
     return Growth(estimator, frames, float(early), float(late), peak.peak - before.peak)
 
@@ -138,9 +142,9 @@ def _give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _config(frames: int) -> Config:
+def _config(frames: int, tracks: float) -> Config:
     """Config of a drive through a town, with the noise that the estimators assume."""
-    simulation = replace(_SIMULATION, frames=frames)
+    simulation = replace(_SIMULATION, frames=frames, tracks_in_view=tracks)
     root = np.sqrt(simulation.period)
     turn, slip = simulation.gyro_sigma * root, simulation.velocity_sigma * root
     return Config(

@@ -9,7 +9,7 @@ Exit codes: 0 done, 2 bad arguments or data.
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -41,6 +41,8 @@ class Bench:
         Frames of the simulated drives of each estimator.
     window, warm : int
         Frames at the start and at the end of these that are compared, and those before the first window.
+    in_view : float
+        Tracks in view of these.
     """
 
     main: Path | Config = CONFIGS / "ds3.yaml"
@@ -52,6 +54,7 @@ class Bench:
     drives: Mapping[str, Sequence[int]] = field(default_factory=lambda: growth.DRIVES)
     window: int = 500
     warm: int = 200
+    in_view: float = growth.TRACKS
 
     @cached_property
     def drive(self) -> Drive:
@@ -68,7 +71,9 @@ PARTS: Mapping[str, Callable[[Bench], Part]] = {
     "textbook": lambda bench: textbook.textbook(bench.drive, seconds=bench.seconds),
     "tracks": Bench.tracks,
     "gtsam": lambda bench: inside_gtsam.inside_gtsam(bench.drive),
-    "growth": lambda bench: growth.growth(bench.drives, window=bench.window, warm=bench.warm),
+    "growth": lambda bench: growth.growth(
+        bench.drives, window=bench.window, warm=bench.warm, tracks=bench.in_view
+    ),
 }
 
 
@@ -82,6 +87,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add("--seconds", type=float, default=120.0, help="time for the textbook filter (default: 120)")
     add("--out", type=Path, metavar="FILE.json", help="file to write all numbers to")
+    add("--in-view", type=float, default=growth.TRACKS, help="tracks in view of the drives of growth")
+    add(
+        "--drive",
+        action="append",
+        default=[],
+        metavar="NAME=FRAMES",
+        help="a drive of growth, in place of its own: ekf or a variant of the smoother, and its length",
+    )
     options = parser.parse_args(arguments)
     return answer(lambda: _measure(options), verbose=False)
 
@@ -96,8 +109,25 @@ def _measure(options: argparse.Namespace) -> int:
         raise DataError(f"{options.data}: no such folder")
     if options.out is not None:
         check_writable(options.out)
-    run(Bench(data_dir=options.data, seconds=options.seconds), options.part, out=options.out)
+    if not 1.0 <= options.in_view < float("inf"):
+        raise ConfigError(f"--in-view {options.in_view:g}: expected a number of tracks, 1 or more")
+    bench = Bench(data_dir=options.data, seconds=options.seconds, in_view=options.in_view)
+    if options.drive:
+        bench = replace(bench, drives=drives_of(options.drive, least=bench.warm + bench.window))
+    run(bench, options.part, out=options.out)
     return 0
+
+
+def drives_of(given: Sequence[str], *, least: int) -> dict[str, list[int]]:
+    """Frames by estimator of options ``NAME=FRAMES``; ConfigError if one is not such, or below ``least``."""
+    drives: dict[str, list[int]] = {}
+    for one in given:
+        name, _, frames = one.partition("=")
+        if name not in growth.NAMES or not frames.isdecimal() or int(frames) < least:
+            known = ", ".join(growth.NAMES)
+            raise ConfigError(f"--drive {one}: expected NAME=FRAMES, NAME of {known}, {least} frames or more")
+        drives.setdefault(name, []).append(int(frames))
+    return drives
 
 
 def run(bench: Bench, parts: Sequence[str], *, out: Path | None) -> None:

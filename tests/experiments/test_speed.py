@@ -104,3 +104,9 @@ def test_bad_arguments_are_one_line_and_exit_code_2(arguments, said, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("given", ["ekf", "ekf=many", "nobody=1000", "ekf=699"])
+def test_a_drive_that_is_none_is_refused_in_one_line(given, capsys):
+    assert speed.main(["--part", "growth", "--drive", given]) == 2
+    assert f"--drive {given}: expected NAME=FRAMES" in capsys.readouterr().err
