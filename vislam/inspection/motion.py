@@ -75,7 +75,7 @@ def check_clock(
     average it better than one whole. Uncorrected, that draws the offset towards whole periods.
     """
     period = float(np.median(np.diff(sequence.inertial_stamp)))
-    noise = np.array([sample_noise(sequence.twist[:, i]) for i in range(4)])
+    noise = sample_noise(sequence)[:4]
     steps = _without_gaps(sequence, steps)
     if len(steps.frame) < _FEWEST_CHANGES:
         text = f"only {len(steps.frame)} steps without a gap show the camera's motion"
@@ -156,9 +156,21 @@ def _mismatch(sequence: Sequence, steps: VisionSteps, lag: float, *, noise: Arra
     return np.asarray((residual**2 - added) / spread)
 
 
-def sample_noise(values: Array) -> float:
-    """Standard deviation of white noise in samples of a smooth motion."""
-    return 1.4826 * float(np.median(np.abs(np.diff(values, n=4)))) / float(_FOURTH_DIFFERENCE)
+def sample_noise(sequence: Sequence) -> Array:
+    """Standard deviation ``(6,)`` of white noise in samples of a smooth motion [rad/s, m/s]."""
+    return np.asarray(1.4826 * np.median(np.abs(_noise_of_samples(sequence)), axis=0))
+
+
+def _noise_of_samples(sequence: Sequence) -> Array:
+    """Fourth differences ``(n, 6)`` of the samples, with the standard deviation of one sample.
+
+    Over a gap a difference has the motion in it: those are left out, unless too few are without one.
+    """
+    step = np.diff(sequence.inertial_stamp)
+    wide = step > _GAP * np.median(step)
+    even = ~np.any(np.lib.stride_tricks.sliding_window_view(wide, 4), axis=1) if len(wide) > 3 else wide[:0]
+    fourth = np.diff(sequence.twist, n=4, axis=0) / _FOURTH_DIFFERENCE
+    return fourth[even] if np.count_nonzero(even) >= _FEWEST_CHANGES else fourth
 
 
 def _lowest(curve: Array) -> float:
@@ -225,7 +237,7 @@ def check_inertial_noise(
 
 def _sample_densities(sequence: Sequence) -> tuple[Measured, ...]:
     period = float(np.median(np.diff(sequence.inertial_stamp)))
-    fourth = np.diff(sequence.twist, n=4, axis=0) / _FOURTH_DIFFERENCE * np.sqrt(period)
+    fourth = _noise_of_samples(sequence) * np.sqrt(period)
     names = [f"gyro density {a}" for a in _AXES] + [f"velocity density {a}" for a in _AXES]
     units = ["rad/sqrt(s)"] * 3 + ["m/sqrt(s)"] * 3
     return tuple(robust_sigma(fourth[:, i], name=names[i], unit=units[i]) for i in range(6))
@@ -270,12 +282,12 @@ def _across(sequence: Sequence, steps: VisionSteps) -> Array:
     The camera's own noise is in it.
     """
     means, _ = sequence.step_means()
-    difference = (means[steps.frame] - steps.twist)[:, 4:]
+    root = np.sqrt(np.diff(sequence.stamp, prepend=np.nan)[steps.frame])[:, None]
+    difference = ((means[steps.frame] - steps.twist) * root)[:, 4:]
     change = np.diff(difference, axis=0)[np.diff(steps.frame) == 1]
     if len(change) < _FEWEST_CHANGES:
         return np.full(2, np.nan)
-    sigma = 1.4826 * np.median(np.abs(change - np.median(change, axis=0)), axis=0) / np.sqrt(2.0)
-    return np.asarray(sigma * np.sqrt(np.median(np.diff(sequence.stamp))))
+    return np.asarray(1.4826 * np.median(np.abs(change - np.median(change, axis=0)), axis=0) / np.sqrt(2.0))
 
 
 def check_third_component(sequence: Sequence, steps: VisionSteps, repair: RepairConfig) -> Finding:
@@ -288,7 +300,7 @@ def check_third_component(sequence: Sequence, steps: VisionSteps, repair: Repair
     """
     means, _ = sequence.step_means()
     recorded, seen = means[steps.frame, 5], steps.twist[:, 5]
-    noise = sample_noise(sequence.twist[:, 5])
+    noise = float(sample_noise(sequence)[5])
     # A step averages two samples or more, which halves the variance of their noise.
     variance = float(np.var(recorded))
     reliable = max(0.0, 1.0 - 0.5 * noise**2 / variance) if variance > 0 else 0.0

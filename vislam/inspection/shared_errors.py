@@ -231,10 +231,10 @@ def _rate_noise(sequence: Sequence, found: SharedResiduals) -> float:
     rates = twist_rates(sequence)[found.frame]
     by = found.by_twist * np.sqrt(found.weight)[:, None, None]
     whole = float(np.sum(np.einsum("mij,mj->mi", by, rates) ** 2))
-    noise = np.array([sample_noise(axis) for axis in sequence.twist.T])
-    step = float(np.median(np.diff(sequence.stamp)))
+    step = np.diff(sequence.stamp, prepend=np.inf)[found.frame]
     # A difference of two samples at most has twice the variance of one.
-    added = 2.0 / step**2 * float(np.sum(noise**2 * np.einsum("mij,mij->j", by, by)))
+    variance = 2.0 * (sample_noise(sequence) / step[:, None]) ** 2
+    added = float(np.einsum("mij,mij,mj->", by, by, variance))
     return added / max(whole, np.finfo(float).tiny)
 
 
