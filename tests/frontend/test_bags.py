@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags")
 
-from tests.frontend.bags import IMU, KINDS, TOPICS, Pen, write_bag
+from tests.frontend.bags import IMU, KINDS, TOPICS, Pen, write_bag, write_camchain
 from tests.frontend.studio import rendered
 from vislam.base.errors import DataError
 from vislam.base.progress import Silent
 from vislam.datasets.bag_topics import Choice, pairs_by_name
 from vislam.datasets.images import is_images, open_images
+from vislam.datasets.recording import Recording
+from vislam.datasets.tracks_npz import load_tracks_npz, write_tracks_npz
 from vislam.frontend.decoding import decoded
 from vislam.frontend.settings import FrontEndConfig
 from vislam.frontend.track import track
@@ -380,3 +382,36 @@ def test_what_is_no_bag_is_one_line(tmp_path):
 def test_options_of_bags_for_a_folder_are_one_line(drive_folder):
     with pytest.raises(DataError, match="are of bags, and this is none"):
         open_images(drive_folder, Choice(imu=IMU))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_inertial_samples_are_those_of_the_topic(tmp_path, kind, short):
+    """In order, one a stamp; what is no number is left out and counted."""
+    write_camchain(tmp_path / "camchain-imucam-run.yaml", TOPICS)
+    stamps = np.rint(1e9 * short.stamp).astype(np.int64).tolist()
+    at = stamps[0] + 10**7 * np.arange(40)
+    values = np.random.default_rng(2).normal(size=(40, 6))
+    with Pen(tmp_path, kind) as pen:
+        for stamp in stamps:
+            for topic in TOPICS:
+                pen.write(topic, stamp, pen.image(stamp, np.zeros((200, 320), np.uint8)))
+        for arrived, row in enumerate([0, 2, 1, 1, *range(3, 40)]):
+            sample = pen.imu(int(at[row]), values[row, :3], values[row, 3:])
+            pen.write(IMU, stamps[0] + arrived, sample)
+        pen.write(IMU, stamps[-1], pen.imu(int(at[-1]) + 10**7, (0.0, np.nan, 0.0), (0.0, 0.0, 9.8)))
+    found = open_images(pen.path)
+    series = found.inertia.series
+    assert np.allclose(series.stamp, 1e-9 * at, rtol=0.0, atol=1e-6)
+    assert np.array_equal(series.gyro, values[:, :3])
+    assert np.array_equal(series.accel, values[:, 3:])
+    assert found.counts["inertial_duplicates"] == found.counts["inertial_out_of_order"] == 1
+    assert found.counts["inertial_corrupt"] == 1
+
+
+def test_tracks_keep_the_inertial_samples(of_folder, tmp_path):
+    """Through the open track file and back."""
+    write_tracks_npz(tmp_path / "tracks.npz", Recording(of_folder.sequence))
+    found = load_tracks_npz(tmp_path / "tracks.npz").sequence
+    for name in ("stamp", "gyro", "accel"):
+        assert np.array_equal(getattr(found.imu, name), getattr(of_folder.sequence.imu, name))
+    assert found.counts["imu_samples"] == of_folder.counts["imu_samples"] == len(found.imu)
