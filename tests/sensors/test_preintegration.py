@@ -214,3 +214,25 @@ def test_prediction_is_that_of_gtsam(rng):
     want = theirs.predict(gtsam.NavState(gtsam.Pose3(pose), velocity), gtsam.imuBias.ConstantBias())
     assert np.allclose(found, want.pose().matrix(), atol=1e-13)
     assert np.allclose(faster, want.velocity(), atol=1e-13)
+
+
+def test_what_is_not_known_varies_within_an_interval():
+    """One interval without samples is as many short ones of the same density, and of full rank."""
+
+    def cov(intervals):
+        dt = np.full(intervals, 0.25 / intervals)
+        rest = np.tile([0.0, 0.0, 9.81], (intervals, 1))
+        return preintegrate(
+            dt,
+            np.zeros_like(rest),
+            rest,
+            gyro_bias=np.zeros(3),
+            accel_bias=np.zeros(3),
+            noise=ImuNoise(1e-6, 1e-6, 0.0, 0.0),
+            unknown=np.full((intervals, 2), [1e-8, 25.0]) * intervals,
+        ).cov[:9, :9]
+
+    one = cov(1)
+    assert np.allclose(one[3:6, 3:6], 25.0 * 0.25**4 / 3.0 * np.eye(3), rtol=1e-6, atol=1e-8)
+    assert np.allclose(one[3:, 3:], cov(200)[3:, 3:], rtol=1e-4, atol=1e-7)
+    assert np.linalg.matrix_rank(one, tol=1e-16) == 9

@@ -120,7 +120,8 @@ def preintegrate(
     noise : ImuNoise
     unknown : (m, 2), optional
         Variance of the errors of rate and force in each interval besides that of the noise, where no samples
-        cover it [rad^2/s^2], [m^2/s^4].
+        cover it [rad^2/s^2], [m^2/s^4]. It is taken for white within the interval, so that position and
+        velocity are not known to be off together.
     """
     total = float(dt.sum())
     phi, force = dt[:, None] * (gyro - gyro_bias), accel - accel_bias
@@ -247,6 +248,9 @@ def _covariance(dt: Array, by_noise: Array, noise: ImuNoise, unknown: Array | No
     for matrix, spread in ((by_noise, variance), (later, walk)):
         flat = (matrix * np.sqrt(spread)[:, None, :]).transpose(1, 0, 2).reshape(9, -1)
         out[MOTION, MOTION] += flat @ flat.T
+    if unknown is not None:
+        # What is not known varies within an interval: white noise goes dt^3 / 3 far, a constant dt^3 / 4.
+        out[3:6, 3:6] += np.sum(unknown[:, 1] * dt**4) / 12.0 * np.eye(3)
     out[MOTION, BIASES] = -np.einsum("nij,nj->ij", later, walk)
     out[BIASES, MOTION] = out[MOTION, BIASES].T
     out[BIASES, BIASES] = np.diag(walk.sum(axis=0))
