@@ -39,5 +39,13 @@ def with_raw_inertia(tree: dict[str, Any], sequence: Sequence, stated: ImuNoise 
     tree["estimators"] = _ESTIMATORS
     return [
         f"raw inertia (motion: imu): {len(sequence.imu or ())} samples, {sequence.counts.get('imu_gaps', 0)} "
-        f"gaps; white noise that of {told}, times {factor:.2g}, by which tracks and inertia differ"
+        f"gaps, {_covered(sequence):.0%} of the recording covered; white noise that of {told}, times "
+        f"{factor:.2g}, by which tracks and inertia differ"
     ]
+
+
+def _covered(sequence: Sequence) -> float:
+    """Share of the recording with inertial samples."""
+    assert sequence.imu is not None
+    steps = sequence.imu.steps(sequence.stamp, clock_offset=sequence.clock_offset)
+    return 1.0 - sum(step.missing for step in steps) / float(sequence.stamp[-1] - sequence.stamp[0])
