@@ -1,6 +1,7 @@
 """A recorded rig with raw inertia: compared from its folder on, and its first state beside the reference."""
 
 import shutil
+from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 from tests.conftest import recorded
 from vislam.cli.main import main
 from vislam.comparison.config import load
-from vislam.comparison.inertia import inertia
 from vislam.comparison.open import open_dataset
 from vislam.core.run import Run
 from vislam.datasets.trajectories import read_poses
 from vislam.evaluation.alignment import find_alignment
 from vislam.evaluation.association import associate
 from vislam.geometry import so3
+from vislam.initialisation import initialise
+from vislam.initialisation.found import GYRO
+from vislam.models.imu import ImuNoise
 
 PAIRS = 120
 STRETCH = 5.0
@@ -80,9 +83,9 @@ def test_a_recorded_rig_is_compared_on_raw_inertia(tmp_path, monkeypatch):
     assert max(ate.values()) < 0.04
 
     sequence = dataset.sequence
-    prior = inertia(config, sequence).prior
+    found = initialise(sequence, ImuNoise(**asdict(config.noise.imu)))
     stamp, pose = read_poses(tmp_path / "mh01" / "groundtruth.tum", "tum")
     near = (stamp >= sequence.stamp[0]) & (stamp <= sequence.stamp[0] + STRETCH)
     bias = bias_by_reference(sequence.imu, stamp[near], pose[near, :3, :3])
-    sigma = np.sqrt(prior.cov.diagonal()[9:12])
-    assert np.all(np.abs(prior.gyro_bias - bias) < np.maximum(3.0 * sigma, 2e-3))
+    sigma = np.sqrt(found.cov.diagonal()[GYRO])
+    assert np.all(np.abs(found.gyro_bias - bias) < np.maximum(3.0 * sigma, 2e-3))
