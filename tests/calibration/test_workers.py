@@ -102,7 +102,10 @@ def test_a_lost_worker_is_replaced_and_its_job_done_again(tmp_path):
 @pytest.mark.slow
 def test_workers_that_are_lost_again_and_again_end_it_with_one_line():
     said = []
-    with workers(said) as found, pytest.raises(DivergedError, match=r"lost 4 times.*--processes 1") as ended:
+    with (
+        workers(said) as found,
+        pytest.raises(DivergedError, match=r"lost 4 times.*use one process") as ended,
+    ):
         found.map(killed, range(4))
     assert "\n" not in str(ended.value)
     assert len(said) == 3
@@ -160,7 +163,8 @@ def test_the_command_survives_a_killed_worker(tmp_path):
         until_a_round_is_over(tmp_path)
         os.kill(spawned(mark)[0], signal.SIGKILL)
         out, err = process.communicate()
-        assert process.returncode == 0
+        # Whether what was found predicts better, or the config from before is written again.
+        assert process.returncode in (0, 3)
         assert out.count("a worker process was lost; starting anew (1 of 3)") == 1
         assert err == ""
         assert not unfinished(tmp_path)
