@@ -45,7 +45,7 @@ def test_nobody_is_worse_than_without_a_camera_and_sure_of_it_unsaid(tmp_path, s
     dataset = open_dataset(config.data, seed=seed)
     results = run_comparison(config, dataset, Silent())
     evaluation = evaluate(results.runs, results.record)
-    told = verdict(results.runs, evaluation, dataset.reference)
+    told = verdict(results.runs, evaluation, dataset.reference).answer
     alone = evaluation.value("dead_reckoning", "ate_rmse", "filtered")
     for name, run in results.runs.items():
         for estimate in run.estimates:

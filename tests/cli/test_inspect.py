@@ -41,7 +41,8 @@ def test_it_says_writes_and_proposes(tmp_path, capsys):
     document = json.loads((out / "inspection.json").read_text())
     assert document["synthetic"] is True
     assert document["proposal"]["data.repair.duplicated_tracks"] is True
-    assert sorted(path.name for path in out.glob("*.png")) == ["checks.png", "motion.png", "tracks.png"]
+    figures = ["checks.png", "motion.png", "shared.png", "tracks.png"]
+    assert sorted(path.name for path in out.glob("*.png")) == figures
     repaired = configuration.load(proposed).data.repair
     assert repaired.axes is not None
     assert repaired.axes.body == ("x", "-y", "-z")

@@ -380,7 +380,7 @@ def others(written, tmp_path_factory):
     ledger = write_index(written.parent.parent, find(written.parent.parent))
     return {
         "study": folder / "study.html",
-        "inspection": write_inspection(folder, result, stand_in=True, config="name: drive"),
+        "inspection": write_inspection(folder, result, synthetic=True, config="name: drive"),
         "ledger": ledger,
     }
 

@@ -82,7 +82,9 @@ class PooledFit:
         whole = self.blocks.sum(axis=0)
         solution, left = self._solved(whole, columns)
         cov = linear.inverse(self._information(whole, columns))
-        model = np.sqrt(np.diagonal(cov))
+        # Where the data tell nothing of one, rounding may leave less than nothing of its variance.
+        variance = np.diagonal(cov)
+        model = np.sqrt(np.where(variance > 0.0, variance, np.inf))
         blocks = len(self.blocks)
         chosen = np.random.default_rng(_SEED).integers(0, blocks, (_DRAWS, blocks))
         times = (chosen[:, :, None] == np.arange(blocks)).sum(axis=1)
