@@ -32,8 +32,8 @@ from vislam.comparison.config import (
 )
 from vislam.comparison.open import open_dataset
 from vislam.comparison.results import Results
+from vislam.core.moved_data import PARAMETERS, moved
 from vislam.core.run import BESIDE, Estimate
-from vislam.core.shared_errors import PARAMETERS, moved
 from vislam.evaluation import Evaluation, evaluate
 from vislam.simulation import SimulationConfig
 

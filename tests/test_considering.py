@@ -22,8 +22,8 @@ from vislam.comparison.config import (
 from vislam.comparison.considering import wanted
 from vislam.comparison.open import open_dataset
 from vislam.core.archive import _taken_apart
+from vislam.core.moved_data import moved
 from vislam.core.run import Run
-from vislam.core.shared_errors import moved
 from vislam.evaluation import evaluate
 from vislam.evaluation.agreement import agreement
 from vislam.models.odometry import ACROSS

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from vislam.base.fields import STRICT, NonNegative, Positive, Seed
 from vislam.base.settings import OTHER, Remark, Title, dump, inline, parse, put, read
 from vislam.checks.settings import Check
-from vislam.core.shared_errors import PARAMETERS
+from vislam.core.moved_data import PARAMETERS
 from vislam.datasets.registry import OWN, formats
 from vislam.datasets.settings import ClementMat, CourseNpy, CourseNpz, Kitti00, ReferenceConfig, TracksNpz
 from vislam.models import shared_errors

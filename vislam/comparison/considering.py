@@ -32,8 +32,8 @@ from vislam.comparison.members import Unbuilt, member
 from vislam.core import sequence as data
 from vislam.core.changes import Changes, changes
 from vislam.core.estimator import Problem
+from vislam.core.moved_data import component_name, moved
 from vislam.core.run import Beside, Run
-from vislam.core.shared_errors import component_name, moved
 from vislam.core.trajectory import Poses
 from vislam.estimators import loop
 from vislam.models import shared_errors

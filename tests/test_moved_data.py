@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam.core.shared_errors import PARAMETERS, component_name, moved
+from vislam.core.moved_data import PARAMETERS, component_name, moved
 from vislam.geometry import so3
 from vislam.models.shared_errors import SIZES
 from vislam.repair.inertial import Clock

@@ -1,4 +1,4 @@
-"""Errors that all observations of a sequence share: constants of rig, clock and velocity, taken as others.
+"""Data with an error that all observations share taken for another: constants of rig, clock and velocity.
 
 Noise of a track averages out over many tracks; these do not. Each parameter has a nominal value, which the
 estimators are given. :func:`moved` gives the same data with another value taken for it, so that the change of
