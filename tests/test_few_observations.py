@@ -56,5 +56,5 @@ def test_a_covariance_that_is_refused_does_not_end_the_run(short, short_config, 
     problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
     found = run(find("isam2")(problem, {"pose_cov_every": 1}), short.sequence, sigma, name="isam2")
     assert found.complete
-    assert found.log.counts["covariances_refused"] == len(short.sequence)
+    assert found.log.counts["covariances_failed"] == len(short.sequence)
     assert np.isnan(found.filtered.covariances).all()

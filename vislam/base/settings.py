@@ -52,7 +52,7 @@ def read(path: Path, *, above: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigError(f"{path}: extends: more than {_MOST_FILES} files build on each other")
     below = path.parent / base
     # A copy of a shipped config builds on what is shipped beside it.
-    below = below if os.path.exists(below) else find_config(base) or below
+    below = below if os.path.lexists(below) else find_config(base) or below
     return _over(read(below, above=(*above, path.resolve())), tree)
 
 
