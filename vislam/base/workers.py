@@ -10,6 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from vislam.base.errors import DivergedError
@@ -57,8 +58,14 @@ class Workers:
                 self._replace()
 
     def close(self) -> None:
-        """End the processes, whatever they are doing."""
+        """End the processes, whatever they are doing.
+
+        One that was being started when the others were lost is not among those that the pool ends, and as long
+        as it lives, the pool waits for it to take its job.
+        """
         self._lifeline.close()
+        for process in self._started:
+            process.kill()
         self._pool.shutdown(cancel_futures=True)
         self._reader.close()
 
@@ -66,6 +73,7 @@ class Workers:
         context = multiprocessing.get_context("spawn")
         # What ends the workers is the end of this pipe: closed here, or by the death of this process.
         self._reader, self._lifeline = context.Pipe(duplex=False)
+        self._started: set[BaseProcess] = set()
         self._pool = ProcessPoolExecutor(
             self._processes, mp_context=context, initializer=_begin, initargs=(self._reader,)
         )
@@ -73,7 +81,11 @@ class Workers:
     def _submit(self, work: Callable[[Job], Answer], jobs: Sequence[Job]) -> list[Future[Answer]]:
         # Ctrl-C reaches the whole group; a worker that is still importing would answer with a traceback.
         with _deferred_interrupt():
-            return [self._pool.submit(work, job) for job in jobs]
+            before = set(multiprocessing.active_children())
+            try:
+                return [self._pool.submit(work, job) for job in jobs]
+            finally:
+                self._started |= set(multiprocessing.active_children()) - before
 
     def _replace(self) -> None:
         self.close()
