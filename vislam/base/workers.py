@@ -60,8 +60,8 @@ class Workers:
     def close(self) -> None:
         """End the processes, whatever they are doing.
 
-        One that was being started when the others were lost is not among those that the pool ends, and as long
-        as it lives, the pool waits for it to take its job.
+        One that was being started when the others were lost is not among those that the pool ends, and while
+        it lives, the pool waits for it to take its job.
         """
         self._lifeline.close()
         for process in self._started:
