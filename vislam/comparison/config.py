@@ -107,8 +107,10 @@ class OtherSource:
 def _kind_of_source(value: Any) -> str | None:
     """Tag of the union's member that a source is; None if nobody reads its format."""
     name = value.get("format") if isinstance(value, Mapping) else getattr(value, "format", None)
+    if not isinstance(name, str):
+        return None
     if name in OWN:
-        return str(name)
+        return name
     return OTHER if name in formats() else None
 
 
