@@ -267,8 +267,9 @@ def test_reprojected_landmarks_of_starry_night_are_near():
 
 def test_a_reader_of_another_package(monkeypatch, tmp_path):
     course_file(tmp_path / "a.npz")
-    known = {**registry._installed(()), "mine": EntryPoint("mine", "tests.data.test_sources:mine", "g")}
-    monkeypatch.setattr(registry, "_installed", lambda path: known)
+    mine = EntryPoint("mine", "tests.data.test_sources:mine", "g")
+    known = {**registry.installed(registry.GROUP, registry.OWN), "mine": mine}
+    monkeypatch.setattr(registry, "installed", lambda group, own: known)
     config = data(source={"format": "mine", "options": {"file": str(tmp_path / "a.npz")}})
     assert len(open_recording(config, Opening([])).sequence) == 6
     with pytest.raises(ConfigError, match=r"data\.source\.options"):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vislam.base import plugins
 from vislam.base.errors import ConfigError, ContractError
 from vislam.cli.main import main
 from vislam.frontend import registry
@@ -76,13 +77,13 @@ def test_an_installed_one_is_found_by_name_and_ours_keeps_its_name(monkeypatch, 
     beside("toy_tracks", TOY.replace("CHANGED", SEEN))
     own = importlib.metadata.EntryPoint("toy", "toy_tracks:Toy", registry.GROUP)
     stolen = importlib.metadata.EntryPoint("klt", "toy_tracks:Toy", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [own, stolen])
-    registry._installed.cache_clear()
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [own, stolen])
+    plugins._of.cache_clear()
     try:
         assert "toy_tracks:Toy" in choose_front_end("toy").origin
         assert isinstance(choose_front_end("klt").reading, FrontEndConfig)
     finally:
-        registry._installed.cache_clear()
+        plugins._of.cache_clear()
 
 
 def test_another_source_is_another_origin(beside):

@@ -1,19 +1,15 @@
 """The one interface of all estimators, and how they are found by name."""
 
 import os
-import re
-import sys
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from dataclasses import dataclass, field
 from inspect import signature
-from typing import Any, Protocol, get_type_hints
+from typing import Any, Protocol
 
 import numpy as np
 
 from vislam.base.errors import ConfigError
-from vislam.base.settings import parse
+from vislam.base.plugins import annotation_of, find_plugin, installed, load_plugin, plugin_options
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.lagged import Lags
@@ -180,12 +176,6 @@ class Estimator(Protocol):
 Build = Callable[[Problem, Mapping[str, Any]], Estimator]
 
 
-@lru_cache(maxsize=8)
-def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
-    """Entry points by name; the folders of all packages are read once for each path that is searched."""
-    return {entry.name: entry for entry in entry_points(group=GROUP)}
-
-
 def find(name: str, *, section: str = "") -> Build:
     """Find an estimator's builder by its name, or by its module, ``my_module:build``.
 
@@ -193,20 +183,14 @@ def find(name: str, *, section: str = "") -> Build:
     parsed into the dataclass that its second parameter is annotated with. A ConfigError names the config
     section if it is another than the name.
     """
-    known = dict(_installed(tuple(sys.path)))
-    if re.fullmatch(r"[\w.]+:[\w.]+", name) and name not in known:
-        known[name] = EntryPoint(name, name, GROUP)
-    if name not in known:
+    entry, here = find_plugin(name, GROUP), os.getcwd()
+    if entry is None:
         where = f"estimators.{name}" if section in ("", name) else f"estimators.{section}.estimator: {name}"
-        raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(known))}")
-    entry, here = known[name], os.getcwd()
+        raise ConfigError(f"{where}: no such estimator; installed are {', '.join(sorted(installed(GROUP)))}")
 
     def build(problem: Problem, options: Mapping[str, Any]) -> Estimator:
         # Loaded here: what the module of one estimator raises is the failure of that run alone.
-        if here not in sys.path:
-            # As ``python -m`` has it, so that the installed command finds a module of this folder, too.
-            sys.path.append(here)
-        return _built(entry.load(), problem, options, at=f"estimators.{section or name}")
+        return _built(load_plugin(entry, here), problem, options, at=f"estimators.{section or name}")
 
     return build
 
@@ -221,19 +205,4 @@ def _built(
             raise ConfigError(f"{at}: it takes no options, got {', '.join(map(str, options))}")
         return builder(problem)
     kind = annotation_of(builder, takes[1].name)
-    if isinstance(kind, type) and is_dataclass(kind):
-        names = [item.name for item in fields(kind)]
-        for name in options:
-            if name not in names:
-                raise ConfigError(f"{at}.{name}: unknown key; known are {', '.join(names)}")
-        return builder(problem, parse(kind, dict(options), at=at))
-    return builder(problem, options)
-
-
-def annotation_of(builder: Callable[..., Any], parameter: str) -> Any:
-    """Annotation of a parameter of a function or class; None if it has none, or none that can be resolved."""
-    called = vars(builder).get("__init__", builder) if isinstance(builder, type) else builder
-    try:
-        return get_type_hints(called).get(parameter)
-    except (NameError, TypeError):
-        return None
+    return builder(problem, plugin_options(kind, options, at=at))

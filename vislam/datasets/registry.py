@@ -5,16 +5,14 @@ first parameter is annotated with a dataclass, the options. Other packages bring
 group ``vislam.datasets``.
 """
 
-import sys
 import zipfile
 from collections.abc import Callable
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.legible import brief
+from vislam.base.plugins import installed
 from vislam.base.settings import parse
 from vislam.datasets.archive import array_names, opened
 from vislam.datasets.recording import Opening, Recording
@@ -40,15 +38,9 @@ _TRACKS = frozenset({"frame", "track", "pixels"})
 Reader = Callable[[Any, Opening], Recording]
 
 
-@lru_cache(maxsize=8)
-def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    own = {name: EntryPoint(name, value, GROUP) for name, value in OWN.items()}
-    return {entry.name: entry for entry in entry_points(group=GROUP)} | own
-
-
 def formats() -> list[str]:
     """Names of all formats that there is a reader for."""
-    return sorted(_installed(tuple(sys.path)))
+    return sorted(installed(GROUP, OWN))
 
 
 def read(name: str, options: Any, opening: Opening) -> Recording:
@@ -71,7 +63,7 @@ def read(name: str, options: Any, opening: Opening) -> Recording:
     """
     if name not in (known := formats()):
         raise ConfigError(f"data.source.format: expected one of {', '.join(known)}, got {name}")
-    reader: Reader = _installed(tuple(sys.path))[name].load()
+    reader: Reader = installed(GROUP, OWN)[name].load()
     if isinstance(options, dict):
         kind = next(iter(get_type_hints(reader).values()), None)
         options = parse(kind, options, at="data.source.options") if isinstance(kind, type) else options

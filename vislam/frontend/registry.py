@@ -2,20 +2,17 @@
 
 import hashlib
 import os
-import re
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from vislam.base.errors import ConfigError
+from vislam.base.plugins import annotation_of, find_plugin, installed, load_plugin, plugin_options
 from vislam.base.settings import parse
-from vislam.core.estimator import annotation_of
 from vislam.core.images import ImageRecording
 from vislam.frontend.settings import ReadingConfig
 
@@ -50,12 +47,6 @@ class Chosen:
     build: Callable[[ImageRecording, Any], Any] = field(repr=False, compare=False)
 
 
-@lru_cache(maxsize=8)
-def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    own = {name: EntryPoint(name, value, GROUP) for name, value in OWN.items()}
-    return {entry.name: entry for entry in entry_points(group=GROUP)} | own
-
-
 def choose_front_end(name: str = DEFAULT, given: dict[str, Any] | None = None) -> Chosen:
     """Find a front end by its name, or by its module, ``my_module:build``, and parse its settings.
 
@@ -68,15 +59,14 @@ def choose_front_end(name: str = DEFAULT, given: dict[str, Any] | None = None) -
         If there is none of that name, it cannot be imported, or a setting is not one of its own.
     """
     given = dict(given or {})
-    known = dict(_installed(tuple(sys.path)))
-    if re.fullmatch(r"[\w.]+:[\w.]+", name) and name not in known:
-        known[name] = EntryPoint(name, name, GROUP)
-    if name not in known:
-        raise ConfigError(f"--front-end {name}: no such front end; installed are {', '.join(sorted(known))}")
-    builder = _loaded(known[name])
+    entry = find_plugin(name, GROUP, OWN)
+    if entry is None:
+        known = ", ".join(sorted(installed(GROUP, OWN)))
+        raise ConfigError(f"--front-end {name}: no such front end; installed are {known}")
+    builder = _loaded(entry)
     takes = list(signature(builder).parameters.values())
     kind = annotation_of(builder, takes[1].name) if len(takes) > 1 else None
-    origin = _origin(known[name])
+    origin = _origin(entry)
     if isinstance(kind, type) and issubclass(kind, ReadingConfig):
         config = parse(kind, given, at="--set")
         return Chosen(name, config, asdict(config), origin, lambda recording, _: builder(recording, config))
@@ -97,25 +87,15 @@ def choose_front_end(name: str = DEFAULT, given: dict[str, Any] | None = None) -
 def _options(kind: Any, given: dict[str, Any], *, takes: int, name: str) -> Any:
     """Options of a front end of somebody else; None if it takes none."""
     if takes > 1:
-        if not (isinstance(kind, type) and is_dataclass(kind)):
-            return given
-        names = [item.name for item in fields(kind)]
-        for key in given:
-            if key not in names:
-                raise ConfigError(f"--set.{key}: unknown key; known are {', '.join(names)}")
-        return parse(kind, given, at="--set")
+        return plugin_options(kind, given, at="--set")
     if given:
         raise ConfigError(f"--set: {name} takes no settings of its own, got {', '.join(given)}")
     return None
 
 
 def _loaded(entry: EntryPoint) -> Callable[..., Any]:
-    here = os.getcwd()
-    if here not in sys.path:
-        # As ``python -m`` has it, so that the installed command finds a module of this folder, too.
-        sys.path.append(here)
     try:
-        builder = entry.load()
+        builder = load_plugin(entry, os.getcwd())
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"--front-end {entry.name}: cannot be imported ({error})") from None
     if not callable(builder):
