@@ -23,8 +23,8 @@ from experiments.timing import CONFIGS, Drive, Part, tell
 from vislam.base.types import Array
 from vislam.cli.command import answer
 from vislam.estimators.smoother import SmootherOptions, batch
-from vislam.estimators.smoother.batch import GraphMarginals
 from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.system import Marginals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +47,7 @@ def end(config: Path) -> Part:
     drive, kept = Drive.open(config), []
     marginals = batch.Drive.marginals
 
-    def keep(held: batch.Drive, values: gtsam.Values, *rest: Any, **more: Any) -> GraphMarginals:
+    def keep(held: batch.Drive, values: gtsam.Values, *rest: Any, **more: Any) -> Marginals:
         kept.append((held, values))
         return marginals(held, values, *rest, **more)
 

@@ -12,10 +12,9 @@ from vislam.comparison.config import KernelConfig, VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import batch
-from vislam.estimators.smoother.batch import GraphMarginals
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.observations import Observations
-from vislam.estimators.smoother.system import Others, longest_eliminated
+from vislam.estimators.smoother.system import Marginals, Others, longest_eliminated
 
 SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
 CASES = {
@@ -56,7 +55,7 @@ def case(request, monkeypatch):
 def none(held):
     frames, tracks = len(held.frames), len(held.tracks)
     sizes = ((frames, 6, 6), (tracks, 3, 3), (frames, 6, 6), (tracks, 3, 6), (6, 6, 6))
-    found = GraphMarginals(*(np.broadcast_to(np.eye(*size[1:]), size) for size in sizes))
+    found = Marginals(*(np.broadcast_to(np.eye(*size[1:]), size) for size in sizes))
     return replace(found, shared=np.eye(6))
 
 

@@ -1,6 +1,7 @@
 """Batch optimisation of a whole sequence, from the incremental estimate."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import gtsam
@@ -10,12 +11,13 @@ from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.descent import Budget, Descent, descend
+from vislam.estimators.smoother.engine import joint_covariance, tree_by_qr
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.motion import Motion
 from vislam.estimators.smoother.observations import Linearised, Observations
 from vislam.estimators.smoother.options import SmootherOptions
-from vislam.estimators.smoother.system import DriveSystem, Others
+from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.models import StereoRig
 
@@ -57,26 +59,6 @@ class Optimum:
     rounds: int
     converged: bool
     stopped: str
-
-
-@dataclass(frozen=True)
-class GraphMarginals:
-    """Covariances of poses ``(T, 6, 6)`` and landmarks ``(n, 3, 3)``.
-
-    Attributes
-    ----------
-    poses, points
-    poses_shared, points_shared : (T, 6, m), (n, 3, m)
-        Those with some variables of the first frame.
-    shared : (m, m)
-        Of the latter.
-    """
-
-    poses: Array
-    points: Array
-    poses_shared: Array
-    points_shared: Array
-    shared: Array
 
 
 @dataclass
@@ -189,7 +171,7 @@ class Drive:
 
     def marginals(
         self, values: gtsam.Values, shared: Sequence[int] = (), *, landmarks: bool = True
-    ) -> GraphMarginals:
+    ) -> Marginals:
         """Marginal covariances: of a pose on its right, of a point in the world's axes.
 
         Parameters
@@ -202,23 +184,15 @@ class Drive:
         """
         # The normal equations have stereo observations of fixed calibration, and cross with the first pose.
         if not self.stereo.repeated and set(shared) <= {X(0)}:
-            try:
-                found = self.system(values).marginals()
-            except np.linalg.LinAlgError:
-                # Cholesky has failed; a tree by QR does not.
-                return self._marginals_by_qr(values, shared, landmarks=landmarks)
-            return GraphMarginals(
-                found.poses, found.points, found.poses_first, found.points_first, found.poses[0]
-            )
+            # Where Cholesky fails, a tree by QR does not.
+            with suppress(np.linalg.LinAlgError):
+                return self.system(values).marginals()
         return self._marginals_by_qr(values, shared, landmarks=landmarks)
 
     def joint_covariances(self, values: gtsam.Values, groups: Sequence[Sequence[int]]) -> list[Array]:
         """Joint covariances ``(d, d)`` of the errors of several variables each, in their order."""
-        tree, found = self._by_qr(values), []
-        for keys in groups:
-            joint = tree.jointMarginalCovariance(list(keys))
-            found.append(np.block([[joint.at(one, other) for other in keys] for one in keys]))
-        return found
+        tree = tree_by_qr(self.graph(), values)
+        return [joint_covariance(tree, keys) for keys in groups]
 
     def system(self, values: gtsam.Values) -> DriveSystem:
         """Normal equations at an estimate, factorised.
@@ -243,25 +217,15 @@ class Drive:
         points = np.array([values.atPoint3(track.key) for track in self.tracks]).reshape(-1, 3)
         return self._seen.linearise(self.rig, self.poses(values), points, kernel=self.stereo.kernel)
 
-    def _by_qr(self, values: gtsam.Values) -> gtsam.ISAM2:
-        """Bayes tree of the whole graph by QR."""
-        parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")
-        tree = gtsam.ISAM2(parameters)
-        tree.update(self.graph(), values)
-        return tree
-
-    def _marginals_by_qr(
-        self, values: gtsam.Values, shared: Sequence[int], *, landmarks: bool
-    ) -> GraphMarginals:
-        tree = self._by_qr(values)
+    def _marginals_by_qr(self, values: gtsam.Values, shared: Sequence[int], *, landmarks: bool) -> Marginals:
+        tree = tree_by_qr(self.graph(), values)
         points = [track.key for track in self.tracks] if landmarks else []
         poses = [X(k) for k in range(len(self.frames))]
         own = [tree.marginalCovariance(key) for key in [*poses, *points]]
         size, count = sum(values.zeroVectors().dim(key) for key in shared), len(poses)
         mixed = self._crossed(values, [*shared, *poses, *points], shared) if shared else []
         firsts, mixed = mixed[: len(shared)], mixed[len(shared) :]
-        return GraphMarginals(
+        return Marginals(
             poses=np.array(own[:count]),
             points=np.array(own[count:]).reshape(len(points), 3, 3),
             poses_shared=np.array(mixed[:count]).reshape(count, 6, size),

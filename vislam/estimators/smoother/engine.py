@@ -158,7 +158,7 @@ class _Read:
         """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
         if len(keys) == 1:
             return self.covariance(keys[0])
-        return _joint(self._joint_solver(), keys)
+        return joint_covariance(self._joint_solver(), keys)
 
     def _joint_solver(self) -> Any:
         """What GTSAM has joint covariances of."""
@@ -250,15 +250,12 @@ class WholeGraph(_Read):
         try:
             return super().joint_covariance(keys)
         except IndeterminateError:
-            return _joint(self._by_qr(), keys)
+            return joint_covariance(self._by_qr(), keys)
 
     def _by_qr(self) -> gtsam.ISAM2:
         """Tree by QR of the same factors at the same linearisation point, made once after an update."""
         if self._qr is None:
-            parameters = gtsam.ISAM2Params()
-            parameters.setFactorization("QR")
-            self._qr = gtsam.ISAM2(parameters)
-            _solved(self._qr.update, self._solver.getFactorsUnsafe(), self._solver.getLinearizationPoint())
+            self._qr = tree_by_qr(self._solver.getFactorsUnsafe(), self._solver.getLinearizationPoint())
         return self._qr
 
     def converge(self) -> None:
@@ -392,7 +389,22 @@ def _pose_threshold(options: SmootherOptions, baseline: float) -> float:
     return _POSE_SHARE * baseline if options.pose_threshold_m is None else options.pose_threshold_m
 
 
-def _joint(solver: Any, keys: Sequence[int]) -> Array:
+def tree_by_qr(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.ISAM2:
+    """Bayes tree by QR of a graph, linearised at an estimate.
+
+    Raises
+    ------
+    IndeterminateError
+        If there is none.
+    """
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    tree = gtsam.ISAM2(parameters)
+    _solved(tree.update, graph, values)
+    return tree
+
+
+def joint_covariance(solver: Any, keys: Sequence[int]) -> Array:
     """Joint covariance ``(d, d)`` of the errors of variables, in their order."""
     found = _solved(solver.jointMarginalCovariance, list(keys))
     return np.block([[found.at(one, other) for other in keys] for one in keys])

@@ -74,12 +74,22 @@ class Others:
 
 @dataclass(frozen=True)
 class Marginals:
-    """Covariances of poses ``(T, 6, 6)`` and landmarks ``(m, 3, 3)``, and those with the first pose."""
+    """Covariances of poses ``(T, 6, 6)`` and landmarks ``(n, 3, 3)``.
+
+    Attributes
+    ----------
+    poses, points
+    poses_shared, points_shared : (T, 6, m), (n, 3, m)
+        Those with some variables of the first frame.
+    shared : (m, m)
+        Of the latter.
+    """
 
     poses: Array
     points: Array
-    poses_first: Array
-    points_first: Array
+    poses_shared: Array
+    points_shared: Array
+    shared: Array
 
 
 def longest_eliminated(first: IntArray, last: IntArray, frames: int) -> int:
@@ -158,25 +168,25 @@ class DriveSystem:
         return step[self._states], points
 
     def marginals(self) -> Marginals:
-        """Covariances of all poses and landmarks."""
+        """Covariances of all poses and landmarks, and those with the first pose."""
         frames, landmarks = len(self._pose), len(self._point)
         poses, points = np.empty((frames, 6, 6)), np.empty((landmarks, 3, 3))
-        found = Marginals(poses, points, np.empty((frames, 6, 6)), np.empty((landmarks, 3, 6)))
+        poses_first, points_first = np.empty((frames, 6, 6)), np.empty((landmarks, 3, 6))
         front_of_pose = self._front[self._pose[:, 0]]
         front_of_long = self._front[self._point[self._long, 0]]
         for number, place, sigma in self._factorisation.covariances():
             with_first = sigma[:, place[self._pose[0]]]
             which = np.flatnonzero(front_of_pose == number)
             at = place[self._pose[which]]
-            poses[which], found.poses_first[which] = sigma[at[:, :, None], at[:, None]], with_first[at]
+            poses[which], poses_first[which] = sigma[at[:, :, None], at[:, None]], with_first[at]
             which = self._long[front_of_long == number]
             at = place[self._point[which]]
-            points[which], found.points_first[which] = sigma[at[:, :, None], at[:, None]], with_first[at]
+            points[which], points_first[which] = sigma[at[:, :, None], at[:, None]], with_first[at]
             columns, tall, _ = self._short.complement(number)
             at, which = place[columns], self._short.landmarks(number)
             points[which] = self._short.covariances(number, tall, sigma[np.ix_(at, at)])
-            found.points_first[which] = self._short.cross_covariances(number, tall, with_first[at])
-        return found
+            points_first[which] = self._short.cross_covariances(number, tall, with_first[at])
+        return Marginals(poses, points, poses_first, points_first, poses[0])
 
     def _jacobian(self, others: Others, seen: Observations, found: Linearised) -> sparse.csr_array:
         """Jacobian of all factors by all columns that are not eliminated first."""
