@@ -16,12 +16,13 @@ from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.match import MatchingBias, matching_bias
 from vislam.calibration.parameters import MATCH, Parameter, largest_of, lowest_of, scaled
 from vislam.calibration.search import ROUNDS, Maximum, Round, maximise
-from vislam.calibration.shared import SharedError, shared_errors, with_priors, with_shared, without_shared
+from vislam.calibration.shared import with_priors, with_shared, without_shared
 from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
 from vislam.core.step import TWIST_BIAS
+from vislam.evaluation.shared_errors import EstimatedError, estimated_errors
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3
@@ -70,7 +71,7 @@ class Calibration:
     bias, bias_sigma : (6,)
         Twist bias over the sequence by the filter, and its standard deviation [rad/s, m/s]. No prior is made
         of them.
-    shared : list of SharedError
+    shared : list of EstimatedError
         Errors that all tracks share, by the filter.
     standstill : Standstill
         What stops tell of the bias; a prior where they do.
@@ -86,7 +87,7 @@ class Calibration:
     parameters: list[Calibrated]
     bias: Array
     bias_sigma: Array
-    shared: list[SharedError]
+    shared: list[EstimatedError]
     standstill: Standstill
     before: Run
     after: Run
@@ -207,7 +208,7 @@ def _calibrate(
     # The pixel noise that was levelled belongs to each fold, too.
     scale = current.noise.pixel_sigma_px / searched.config.noise.pixel_sigma_px
     last = _steady(current, evaluator, run)
-    bias, shared = last.states[TWIST_BIAS], shared_errors(last)
+    bias, shared = last.states[TWIST_BIAS], estimated_errors({last.name: last})
     plain = _with_bias(without_shared(current, as_in=config), config, rest)
     candidates = {
         "shared errors known": plain,

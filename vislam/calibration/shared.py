@@ -5,14 +5,13 @@ maximised they are states, with small priors of their own where the config gives
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from vislam.base.types import Array
 from vislam.comparison.config import Config, NoiseConfig
-from vislam.core.run import Run
+from vislam.evaluation.shared_errors import EstimatedError
 from vislam.models.shared_errors import (
     CAMERA_ROTATION,
     CLOCK,
@@ -20,7 +19,6 @@ from vislam.models.shared_errors import (
     FOCAL_SCALE,
     PRINCIPAL_POINT,
     SIZES,
-    UNITS,
     VELOCITY_DIRECTION,
     prior_name,
 )
@@ -34,28 +32,6 @@ SIGMAS = {
     VELOCITY_DIRECTION: 0.003,
 }
 """What a careful calibration leaves of each [rad, px, px, 1, s, rad]."""
-
-
-@dataclass(frozen=True)
-class SharedError:
-    """What the filter makes of one of them.
-
-    Attributes
-    ----------
-    name, unit : str
-    value, sigma : (m,)
-        Estimate at the end and its standard deviation.
-    """
-
-    name: str
-    unit: str
-    value: Array
-    sigma: Array
-
-    @property
-    def prior(self) -> float:
-        """Standard deviation that it is one of, and no surprise."""
-        return float(f"{float(np.max(np.hypot(self.value, self.sigma))):.3g}")
 
 
 def with_shared(config: Config, *, searched: Iterable[str] = ()) -> Config:
@@ -83,18 +59,14 @@ def without_shared(config: Config, *, as_in: Config) -> Config:
     return _with(config, {name: _sigma(as_in.noise, name) for name in SIZES})
 
 
-def with_priors(config: Config, found: Iterable[SharedError]) -> Config:
+def with_priors(config: Config, found: Iterable[EstimatedError]) -> Config:
     """Config with priors that hold what was found, never smaller than its own."""
-    return _with(config, {item.name: max(item.prior, _sigma(config.noise, item.name)) for item in found})
+    return _with(config, {item.name: max(_prior(item), _sigma(config.noise, item.name)) for item in found})
 
 
-def shared_errors(run: Run) -> list[SharedError]:
-    """What a run with these states has found of them in the end."""
-    return [
-        SharedError(name, UNITS[name], run.states[name].value[-1], run.states[name].sigma[-1])
-        for name in SIZES
-        if name in run.states
-    ]
+def _prior(found: EstimatedError) -> float:
+    """Standard deviation that an estimate is one of, and no surprise."""
+    return float(f"{float(np.max(np.hypot(found.value, found.sigma))):.3g}")
 
 
 def _sigma(noise: NoiseConfig, name: str) -> float:
