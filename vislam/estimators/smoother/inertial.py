@@ -21,7 +21,7 @@ from vislam.core.imu import ImuStep
 from vislam.core.step import State
 from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.keys import B, V, X
-from vislam.estimators.smoother.pixel_errors import PixelErrors
+from vislam.estimators.smoother.pixel_errors import KnownCamera
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, VELOCITY, ImuNoise, ImuPrior
 from vislam.models.preintegration import preintegrate
 
@@ -31,7 +31,7 @@ _GTSAM_ORDER = np.r_[3:6, 0:3]
 """GTSAM has the accelerometer's bias first."""
 
 
-class InertialMotion:
+class InertialMotion(KnownCamera):
     """Accelerometer and gyro, as one factor between two frames."""
 
     information: Mapping[str, str] = {
@@ -89,16 +89,6 @@ class InertialMotion:
         """Read velocity and biases."""
         self._velocity = engine.vector(V(frame.k))
         self._bias = engine.imu_bias(B(frame.k))
-
-    @property
-    def pixels(self) -> PixelErrors | None:
-        """None: they are the camera's."""
-        return None
-
-    def rotation(self, k: int) -> int | None:
-        """None: it is assumed known."""
-        del k
-        return None
 
     def states(self, engine: Engine, frame: Frame, *, with_sigma: bool) -> dict[str, State]:
         """Velocity and biases as read last and, if asked for, their standard deviations."""

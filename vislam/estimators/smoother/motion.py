@@ -27,7 +27,7 @@ from vislam.estimators.smoother.inertial import InertialMotion
 from vislam.estimators.smoother.keys import LINEAR, PIXEL_ERRORS, B, H, V, W, X
 from vislam.estimators.smoother.linear import linear_factor
 from vislam.estimators.smoother.options import SmootherOptions
-from vislam.estimators.smoother.pixel_errors import PixelErrors
+from vislam.estimators.smoother.pixel_errors import KnownCamera, PixelErrors
 from vislam.estimators.smoother.twist_errors import TwistErrors
 from vislam.geometry import se3
 from vislam.models import CameraErrors, odometry
@@ -136,7 +136,7 @@ class Height:
         return [] if self._noise is None else [H(k)]
 
 
-class OdometryMotion:
+class OdometryMotion(KnownCamera):
     """The recorded twist less its bias, its clock, and the vertical velocity, in the project's tangent order.
 
     The motion over a step is ``log(T_{k-1}^-1 T_k) = dt w_k + n`` with w the inertial twist less its bias and
@@ -164,11 +164,6 @@ class OdometryMotion:
         self._bias = np.zeros(6)
         self._twist = np.zeros(6)
         self._height = Height(problem.vertical_velocity)
-
-    @property
-    def pixels(self) -> PixelErrors | None:
-        """None: they are the camera's."""
-        return None
 
     def rotation(self, k: int) -> int | None:
         """Key of the rotation of the cameras at a frame; None where it is known."""
@@ -302,7 +297,7 @@ class SmoothMotion(OdometryMotion):
         return [*super().keys(k), B(k)]
 
 
-class BetweenMotion:
+class BetweenMotion(KnownCamera):
     """The recorded twist less a known bias, as one ``BetweenFactorPose3`` a step, and the vertical velocity.
 
     The step is :func:`vislam.models.odometry.integrate` with the prior's mean of the bias; there are no other
@@ -354,16 +349,6 @@ class BetweenMotion:
         """Bias that is assumed known; it is not estimated, and has no standard deviation."""
         del engine, frame, with_sigma
         return {TWIST_BIAS: State(np.array(self._problem.bias_mean))}
-
-    @property
-    def pixels(self) -> PixelErrors | None:
-        """None: it has no such variables."""
-        return None
-
-    def rotation(self, k: int) -> int | None:
-        """None: it is assumed known."""
-        del k
-        return None
 
     def _step(self, frame: Frame) -> odometry.Step:
         return odometry.integrate(

@@ -35,6 +35,20 @@ _LEFT, _RIGHT = E(0), E(1)
 _IDENTITY = np.eye(5)
 
 
+class KnownCamera:
+    """A model of motion that has no variable for an error of the cameras."""
+
+    @property
+    def pixels(self) -> "PixelErrors | None":
+        """None: the calibration is assumed known."""
+        return None
+
+    def rotation(self, k: int) -> int | None:
+        """None: the mounting is assumed known."""
+        del k
+        return None
+
+
 class PixelErrors:
     """Calibrations of both cameras as variables.
 
