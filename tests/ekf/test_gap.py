@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.smoother.drives import drive
+from tests.smoother.drives import drive, thinned
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.core.estimator import find
 from vislam.estimators.loop import run
@@ -26,24 +26,12 @@ NAMES = {
 
 @pytest.fixture(scope="module")
 def standing():
-    """A body at rest, without any track; the bias is known."""
+    """A stationary body without any track; the bias is known."""
     config, dataset = drive(seed=1, frames=2 * LONG + 1, period=PERIOD, tracks_in_view=1)
     sequence = dataset.sequence.select(np.zeros(dataset.sequence.observations, bool))
     sequence = replace(sequence, twist=np.zeros_like(sequence.twist))
     noise = replace(config.noise, bias_sigma=(1e-9,) * 6, bias_walk=(1e-9,) * 6, first_pose_sigma=(1e-6,) * 6)
     return replace(config, noise=noise), replace(dataset, sequence=sequence)
-
-
-def thinned(sequence, kept):
-    """The same drive with some of its frames only, and the inertial samples of these."""
-    return replace(
-        sequence,
-        stamp=sequence.stamp[kept],
-        inertial_stamp=sequence.inertial_stamp[kept],
-        twist=sequence.twist[kept],
-        vertical_velocity=sequence.vertical_velocity[kept],
-        offset=np.zeros(len(kept) + 1, np.int64),
-    )
 
 
 @pytest.mark.parametrize(("name", "options"), NAMES.items())

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.smoother.drives import drive
+from tests.smoother.drives import drive, thinned
 from vislam.inspection import motion
 from vislam.inspection.motion import VisionSteps
 
@@ -18,17 +18,7 @@ def with_gaps(*, noise):
     sequence = dataset.sequence
     kept = np.flatnonzero(np.arange(900) % 60 < 36)
     kept = kept[(kept % 60 < 24) | (kept % 3 == 0)]
-    return replace(
-        sequence,
-        stamp=sequence.stamp[kept],
-        inertial_stamp=sequence.inertial_stamp[kept],
-        twist=sequence.twist[kept],
-        vertical_velocity=sequence.vertical_velocity[kept],
-        offset=np.zeros(len(kept) + 1, np.int64),
-        track=sequence.track[:0],
-        pixels=sequence.pixels[:0],
-        row=sequence.row[:0],
-    )
+    return thinned(sequence, kept)
 
 
 def test_samples_on_both_sides_of_a_gap_are_no_noise():

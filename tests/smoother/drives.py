@@ -172,3 +172,18 @@ def repeated_frames(sequence: Sequence) -> Sequence:
         _, there, here = np.intersect1d(sequence.track[before], sequence.track[now], return_indices=True)
         pixels[now[here]] = pixels[before[there]]
     return replace(sequence, stamp=stamp, pixels=pixels)
+
+
+def thinned(sequence: Sequence, kept: Array) -> Sequence:
+    """Some frames of a sequence only, with the inertial samples of these and without tracks."""
+    return replace(
+        sequence,
+        stamp=sequence.stamp[kept],
+        inertial_stamp=sequence.inertial_stamp[kept],
+        twist=sequence.twist[kept],
+        vertical_velocity=sequence.vertical_velocity[kept],
+        offset=np.zeros(len(kept) + 1, np.int64),
+        track=sequence.track[:0],
+        pixels=sequence.pixels[:0],
+        row=sequence.row[:0],
+    )
