@@ -36,7 +36,7 @@ def build(problem: Problem, options: Mapping[str, Any]) -> "StereoVo":
 class StereoVo:
     """Strings together the steps that the tracks of two successive frames make.
 
-    The covariance takes steps for independent, which is an approximation: an observation ends one step and
+    The covariance treats steps as independent, which is an approximation: an observation ends one step and
     begins the next, a track keeps its stereo-matching bias, and inertial steps share their bias.
     """
 

@@ -8,7 +8,8 @@ error and the scale gap of the smoothed poses, where there is a reference.
 
 * ``common drift``: the image as a whole walks randomly while a track is followed, by so many pixels a frame
   in column and row; a track that starts has none of it.
-* ``common noise``: an image is off as a whole, in each frame anew (the principal point jumps).
+* ``common noise``: an error common to all observations of a frame, independent from frame to
+  frame (the principal point jumps).
 * ``walking image``: the image walks for all tracks, new ones too (the principal point walks).
 * ``walking mount``: the same by a rotation of the cameras in the body.
 * ``more drift``: no shared error, the drift of each track is that much larger.

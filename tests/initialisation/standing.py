@@ -46,7 +46,7 @@ class Standing:
 
 @cache
 def standing(seed, *, rest, config=ROOM):
-    """Sequence and truth of a body that rests for so long [s]."""
+    """Sequence and truth of a body that is stationary for so long [s]."""
     path = Standing(config, np.random.default_rng(seed), rest=rest)
     return simulate(config, seed=seed, name="standing", path=path)
 

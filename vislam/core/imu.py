@@ -25,7 +25,7 @@ class ImuSeries:
     gyro : (n, 3)
         Angular velocity, body axes [rad/s].
     accel : (n, 3)
-        Specific force, body axes [m/s^2]: at rest it points up and has the magnitude of gravity.
+        Specific force, body axes [m/s^2]: when stationary it points up and has the magnitude of gravity.
     duplicates : int
         Samples that were dropped because their stamps were not later than those before.
 

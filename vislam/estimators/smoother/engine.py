@@ -176,7 +176,7 @@ class WholeGraph(_Read):
     GTSAM merges a clique into its parent where that has no variable beside the child's separator. The newest
     pose is eliminated before the frame's other variables, so that the anchor below is in the clique that
     comes first among them: else the poses that long tracks tie to each other, as one clique, would be merged
-    with what the next frame ties to, and eliminated anew with each.
+    with what the next frame ties to, and eliminated again with each.
 
     What is eliminated last carries all the drift: of its information, which is that of the last step, next to
     nothing is left once all else is eliminated, and GTSAM's Cholesky fails for a pivot that has lost more
