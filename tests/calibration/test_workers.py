@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.study.processes import environment, python, until
+from tests.study.processes import DEADLINE, environment, python, until
 from vislam.base.errors import DivergedError
 from vislam.base.workers import Workers
 
@@ -162,7 +162,7 @@ def test_the_command_survives_a_killed_worker(tmp_path):
     with command(tmp_path) as (process, mark):
         until_a_round_is_over(tmp_path)
         os.kill(spawned(mark)[0], signal.SIGKILL)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=DEADLINE)
         # Whether what was found predicts better, or the config from before is written again.
         assert process.returncode in (0, 3)
         assert out.count("a worker process was lost; starting anew (1 of 3)") == 1
@@ -179,7 +179,7 @@ def test_an_interrupted_command_leaves_the_best_and_no_worker(number, whom, tmp_
     with command(tmp_path) as (process, mark):
         until_a_round_is_over(tmp_path)
         (os.killpg if whom == "group" else os.kill)(process.pid, number)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=DEADLINE)
         assert process.returncode == 130
         assert err == "vislam: interrupted\n"
         assert "best config so far (choice " in out.splitlines()[-1]
@@ -193,7 +193,7 @@ def test_an_interrupt_while_workers_start_leaves_none(number, tmp_path):
     with command(tmp_path) as (process, mark):
         until(lambda: spawned(mark))
         os.killpg(process.pid, number)
-        assert process.communicate()[1] == "vislam: interrupted\n"
+        assert process.communicate(timeout=DEADLINE)[1] == "vislam: interrupted\n"
         assert process.returncode == 130
         until(lambda: not marked(mark))
 
@@ -204,6 +204,6 @@ def test_no_worker_outlives_a_command_that_was_killed(tmp_path):
         until_a_round_is_over(tmp_path)
         assert len(spawned(mark)) == 2
         process.kill()
-        process.wait()
+        process.wait(timeout=DEADLINE)
         until(lambda: not marked(mark))
         assert unfinished(tmp_path)

@@ -5,14 +5,15 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 from distributed.security import Security
 
 ROOT = Path(__file__).parents[2]
-DEADLINE = 60.0
+DEADLINE = 240.0
+"""Time after which what has not happened will not happen, on a machine with much else to do [s]."""
 
 
 def environment(*first):
@@ -23,7 +24,10 @@ def environment(*first):
 
 @contextmanager
 def python(*arguments, env=None, **options):
-    """Give a process of Python, killed in the end."""
+    """Give a process of Python, killed in the end with all that it has started.
+
+    What outlives it holds its output open, and whoever waits for the end of that waits for good.
+    """
     process = subprocess.Popen(
         [sys.executable, *map(str, arguments)],
         env=environment() if env is None else env,
@@ -35,8 +39,20 @@ def python(*arguments, env=None, **options):
     try:
         yield process
     finally:
+        family = descendants(process)
         process.kill()
-        process.communicate()
+        for one in family:
+            with suppress(psutil.Error):
+                one.kill()
+        process.communicate(timeout=DEADLINE)
+
+
+def descendants(process):
+    """Processes that a process has started, and those that these have."""
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.Error:
+        return []
 
 
 @contextmanager
@@ -70,8 +86,9 @@ def credentials(folder):
 def workers_of(process):
     """Workers that a study has started on this machine."""
     try:
-        family = psutil.Process(process.pid).children(recursive=True)
-        return [child for child in family if any("spawn_main" in part for part in child.cmdline())]
+        return [
+            child for child in descendants(process) if any("spawn_main" in part for part in child.cmdline())
+        ]
     except psutil.Error:
         return []
 
