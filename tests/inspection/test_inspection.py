@@ -160,6 +160,7 @@ def test_rates_of_false_alarms_and_of_misses():
                 "clock",
                 "axes and extrinsic",
                 "third velocity component",
+                "axes of the rates",
                 "disparity offset",
                 "moving objects",
             },

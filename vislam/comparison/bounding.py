@@ -20,7 +20,7 @@ _NONE = {
     "data.simulation": (
         *("drift_px", "matching_bias_px", "matching_bias_share", "outlier_probability"),
         *("duplication_probability", "moving_share", "disparity_offset_px", "clock_offset"),
-        *("navigation_frame_velocity", "redetect_below", "stated_baseline"),
+        *("navigation_frame_velocity", "navigation_frame_rates", "redetect_below", "stated_baseline"),
         *("camera_rotation", "principal_point_px", "focal_scale", "velocity_direction"),
         *map(prior_name, SIZES),
     ),

@@ -16,10 +16,11 @@ from vislam.evaluation.held_out import hold_out
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.lever_arm import check_lever_arm
+from vislam.inspection.rates import check_rate_axes
 from vislam.inspection.shared_errors import check_shared_errors
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus
-from vislam.repair.inertial import Clock, NavigationFrameVelocity
+from vislam.repair.inertial import Clock, NavigationFrameRates, NavigationFrameVelocity
 from vislam.repair.mounting import Baseline
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import DuplicatedTracks, Interruptions, SingleObservations
@@ -34,6 +35,7 @@ _NEEDS_MOTION = (
     "data.repair.extrinsic",
     "data.repair.baseline",
     "data.repair.clock",
+    "data.repair.navigation_frame_rates",
     "data.repair.disparity_offset",
     "data.repair.consensus",
     "noise.pixel_sigma_px",
@@ -175,6 +177,8 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     third = book.enter(motion.check_third_component(timed, motion.vision_steps(timed, fits), repair))
     if _levelled(third, repair):
         timed = NavigationFrameVelocity().apply(timed)
+    axes = book.enter(check_rate_axes(timed, motion.vision_steps(timed, fits), repair))
+    timed = _about_body_axes(timed, axes, repair)
     told, series = stereo.check_stereo(timed, repair)
     for finding in told:
         book.enter(finding, series)
@@ -186,6 +190,14 @@ def _levelled(third: Finding, repair: RepairConfig) -> bool:
     """Whether the third velocity component is to be read as the vertical velocity."""
     path = "data.repair.navigation_frame_velocity"
     return bool({**third.settings, **third.proposal}.get(path, repair.navigation_frame_velocity is not None))
+
+
+def _about_body_axes(sequence: Sequence, axes: Finding, repair: RepairConfig) -> Sequence:
+    """Sequence with the rates as they are to be read."""
+    step = repair.navigation_frame_rates
+    for value in axes.proposal.values():
+        step = None if value is None else configuration.parse(NavigationFrameRates, value)
+    return sequence if step is None else step.apply(sequence)
 
 
 def _mended_stereo(sequence: Sequence, told: list[Finding], repair: RepairConfig) -> Sequence:
@@ -243,6 +255,8 @@ def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> N
     levelled = repair.navigation_frame_velocity is not None
     third = None if levelled else motion.third_component_unseen(cut)
     levelled = levelled or (third is not None and _levelled(third, repair))
+    if repair.navigation_frame_rates is not None:
+        cut = repair.navigation_frame_rates.apply(cut)
     voted = Consensus().apply(NavigationFrameVelocity().apply(cut) if levelled else cut)
     error = twist_error(inertial_pairs(voted))
     told = _TOLD_TOGETHER if error is not None else ()

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 from vislam.base.fields import STRICT
 from vislam.core.sequence import Repair, Sequence
 from vislam.repair.consensus import Consensus
-from vislam.repair.inertial import Clock, NavigationFrameVelocity
+from vislam.repair.inertial import Clock, NavigationFrameRates, NavigationFrameVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import DuplicatedTracks, Interruptions, SingleObservations, Thinning
@@ -52,6 +52,8 @@ class RepairConfig:
     """Move the inertial stamps to the camera's clock."""
     navigation_frame_velocity: Switched[NavigationFrameVelocity] = None
     """Interpret the third velocity component as the vertical velocity (navigation frame)."""
+    navigation_frame_rates: Switched[NavigationFrameRates] = None
+    """Rotate rates about level axes (navigation frame) into the body's axes."""
     disparity_offset: Switched[DisparityOffset] = None
     """Correct a constant error of all disparities."""
     duplicated_tracks: Switched[DuplicatedTracks] = DuplicatedTracks()

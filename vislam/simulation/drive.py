@@ -199,6 +199,8 @@ def _sampled_twist(config: SimulationConfig, stamp: Array, path: BodyPath) -> Ar
     twist = path.twist(sampled_at)
     if config.navigation_frame_velocity:
         twist[:, 5] = path.vertical_velocity(sampled_at)
+    if config.navigation_frame_rates:
+        twist[:, :3] = _about_level_axes(twist[:, :3], path.pose(sampled_at)[:, :3, :3])
     return twist
 
 
@@ -208,7 +210,19 @@ def _step_twist(config: SimulationConfig, stamp: Array, world_T_imu: Array) -> A
     twist = se3.local(world_T_imu[:-1], world_T_imu[1:]) / period
     if config.navigation_frame_velocity:
         twist[:, 5:] = np.diff(world_T_imu[:, 2:3, 3], axis=0) / period
+    if config.navigation_frame_rates:
+        midway = world_T_imu[:-1, :3, :3] @ so3.exp(0.5 * period * twist[:, :3])
+        twist[:, :3] = _about_level_axes(twist[:, :3], midway)
     return twist
+
+
+def _about_level_axes(rates: Array, world_R_body: Array) -> Array:
+    """Rates ``(n, 3)`` about forward, left and up, of those about the body's axes."""
+    forward = world_R_body[:, :, 0] * np.array([1.0, 1.0, 0.0])
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0])
+    world_R_level = np.stack([forward, np.cross(up, forward), np.broadcast_to(up, forward.shape)], axis=2)
+    return np.asarray(np.einsum("nij,nik,nk->nj", world_R_level, world_R_body, rates))
 
 
 def _as_stored(config: SimulationConfig, rig: StereoRig) -> StereoRig:

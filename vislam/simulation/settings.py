@@ -221,6 +221,8 @@ class SimulationConfig:
     """Raw inertia beside the twist; null: there is none."""
     navigation_frame_velocity: bool = False
     """Write the vertical velocity as the third velocity component, as KITTI's recordings have it."""
+    navigation_frame_rates: bool = False
+    """Write rates about level axes that turn with the heading only."""
 
     def __post_init__(self) -> None:
         """Reject swapped depths, axes that are none, ids without a point, a recorded path without poses."""
