@@ -186,20 +186,27 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
 
 def filtered_landmarks(state: JointState, slots: IntArray) -> Landmarks:
     """Filtered estimates of landmarks."""
-    return _told(state.marginalised(slots), Adjoint.of_the_last(len(state.cov)), state.parametrisation)
+    left = state.marginalised(slots)
+    return _landmarks(left, left.q, left.cov, left.rows[:, :, POSE], state.parametrisation)
 
 
 def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation) -> Landmarks:
     """Smoothed estimates of marginalised landmarks."""
     n, each = len(left.track), np.arange(len(left.track))
     error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
-    q = left.q + error.reshape(n, 3)
     cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
+    return _landmarks(left, left.q + error.reshape(n, 3), cov, cross.reshape(n, 3, 6), parametrisation)
+
+
+def _landmarks(
+    left: Marginalised, q: Array, cov: Array, cross: Array, parametrisation: Parametrisation
+) -> Landmarks:
+    """Points of coordinates ``q (n, 3)`` of covariances ``cov``, and ``cross (n, 3, 6)`` with the last pose."""
     points, jacobian = parametrisation.points(q)
     turned = left.anchors[:, :3, :3] @ jacobian
     return Landmarks(
         track=left.track,
         points_world=(left.anchors[:, :3, :3] @ points[:, :, None])[:, :, 0] + left.anchors[:, :3, 3],
         points_cov=turned @ cov @ turned.transpose(0, 2, 1),
-        points_pose_cov=turned @ cross.reshape(n, 3, 6),
+        points_pose_cov=turned @ cross,
     )
