@@ -32,7 +32,6 @@ from vislam.comparison.results import Results
 from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
-from vislam.estimators.ekf.layout import LANDMARK
 from vislam.estimators.ekf.linear import Move
 from vislam.estimators.ekf.measurement import View
 from vislam.estimators.ekf.state import JointState
@@ -105,7 +104,7 @@ class SharedTrackErrors(EkfEstimator):
         super()._add_drift(state, view, slots)
         if self._model.common_drift and len(slots):
             step = view.drift_step(self._model.common_drift)
-            rows = state.layout.size + LANDMARK * slots[:, None] + np.arange(3)
+            rows = state.layout.size + state.layout.landmark * slots[:, None] + np.arange(3)
             rows, stacked = rows.ravel(), step.reshape(-1, 2)
             state.cov[np.ix_(rows, rows)] += stacked @ stacked.T
         if self._model.common_noise:

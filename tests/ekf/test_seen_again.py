@@ -9,7 +9,6 @@ from tests.ekf.test_backward import FORMS, RELATIVE, both, check_equal, off, wor
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.comparison.config import DataConfig, LandmarksConfig
 from vislam.core.estimator import find
-from vislam.estimators.ekf.layout import LANDMARK
 from vislam.estimators.loop import run
 from vislam.repair.tracks import Interruptions
 
@@ -100,7 +99,7 @@ def test_the_state_holds_what_is_out_of_view(gaps, short_config):
     for frame in gaps.sequence.first(9).frames(pixel_sigma(short_config, gaps)):
         working.process(frame)
     state = working.state
-    assert len(state.cov) == state.layout.size + LANDMARK * len(state.track)
+    assert len(state.cov) == state.layout.size + state.layout.landmark * len(state.track)
     assert np.any(state.seen_at == 5)
 
 

@@ -13,7 +13,7 @@ from vislam.core.step import Final, Step
 from vislam.estimators.ekf import backward, motion, parametrisation
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
-from vislam.estimators.ekf.layout import LANDMARK
+from vislam.estimators.ekf.layout import COORDINATES, LANDMARK
 from vislam.estimators.ekf.linear import Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
@@ -51,7 +51,9 @@ class EkfEstimator:
         self._motion = motion.make(problem)
         self.upright = problem.imu is not None
         self._nearest = problem.rig.nearest
-        start = motion.navigation(problem, self._motion)
+        # Without a matching bias, a landmark is its coordinates: three quarters of the rows and columns.
+        landmark = COORDINATES if self._independent else LANDMARK
+        start = motion.navigation(problem, self._motion, landmark=landmark)
         self._layout = start.layout
         self._camera = Camera(problem.rig, parametrisation.make(options.landmarks, problem.rig), start.layout)
         self.state = JointState(
@@ -219,7 +221,7 @@ class EkfEstimator:
         for _ in range(self._options.iterations - 1):
             correction = update.correction
             there = se3.retract(state.world_T_imu, correction[POSE])
-            landmarks = state.landmarks + correction[self._layout.size :].reshape(-1, LANDMARK)
+            landmarks = state.landmarks + state.of_landmarks(correction)
             nav = state.nav + correction[: self._layout.size]
             view = self._camera.view(there, nav, state.anchors[slots], landmarks[slots])
             if not (view.depth[good] > self._nearest).all():
@@ -272,7 +274,7 @@ class EkfEstimator:
         """Fuse what the model of motion measures; returns the logarithm of its density."""
         density = 0.0
         for found in self._motion.measurements(self._layout, state.world_T_imu, state.nav, frame):
-            jacobian = Jacobian(found.by_nav, np.empty((0, 3, LANDMARK)), np.empty(0, np.int64))
+            jacobian = Jacobian(found.by_nav, np.empty((0, 3, self._layout.landmark)), np.empty(0, np.int64))
             projected = jacobian.times(state.cov)
             spread = jacobian.times(projected.T) + np.diag(found.variance)
             update = Update.of(jacobian, projected, spread, found.innovation)
@@ -287,8 +289,10 @@ class EkfEstimator:
         anchors, landmarks, by_nav, by_measurement = self._camera.initialise(
             state.world_T_imu, state.nav, frame.stereo.z[rows]
         )
-        match = self._track_noise.match_sigma(frame.stereo.z[rows, 0] - frame.stereo.z[rows, 1])
-        variance = np.column_stack([self._variance(frame, rows), match**2])
+        variance = self._variance(frame, rows)
+        if self._layout.landmark == LANDMARK:
+            match = self._track_noise.match_sigma(frame.stereo.z[rows, 0] - frame.stereo.z[rows, 1])
+            variance = np.column_stack([variance, match**2])
         state.append(
             frame.stereo.track[rows],
             anchors,

@@ -11,6 +11,8 @@ from vislam.models.odometry import POSE
 
 LANDMARK = 4
 """Size of a landmark: three coordinates, and its stereo-matching bias (``vislam.models.track_noise``)."""
+COORDINATES = 3
+"""Size in the error of the state where no track has a stereo-matching bias: that of its coordinates."""
 
 
 class NavLayout:
@@ -22,14 +24,18 @@ class NavLayout:
     ----------
     blocks : mapping of str to int
         Name and size of each block behind the pose, in order.
+    landmark : int
+        Size of a landmark's error, ``LANDMARK`` or ``COORDINATES``.
 
     Attributes
     ----------
     size : int
         Size of the navigation state.
+    landmark : int
     """
 
-    def __init__(self, blocks: Mapping[str, int]) -> None:
+    def __init__(self, blocks: Mapping[str, int], *, landmark: int = LANDMARK) -> None:
+        self.landmark = landmark
         self._blocks = {"pose": POSE}
         self.size = POSE.stop
         for name, size in blocks.items():

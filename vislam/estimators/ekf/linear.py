@@ -19,7 +19,6 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.estimators.ekf.layout import LANDMARK
 from vislam.models.odometry import POSE
 
 
@@ -85,8 +84,8 @@ class Jacobian:
     Attributes
     ----------
     by_nav : (m, d_nav)
-    by_landmark : (n, 3, 4)
-        Of the first 3n rows; m - 3n further rows see no landmark.
+    by_landmark : (n, 3, s)
+        Of the first 3n rows, s being the size of a landmark's error; m - 3n further rows see no landmark.
     slots : (n,) or None
         Which landmarks these are; None for all, in order.
     """
@@ -97,8 +96,10 @@ class Jacobian:
 
     def times(self, matrix: Array) -> Array:
         """``H A``, ``(m, k)``, for ``A (d, k)``."""
-        n, columns, nav = len(self.by_landmark), matrix.shape[1], self.by_nav.shape[1]
-        blocks = matrix[nav:].reshape(-1, LANDMARK, columns)
+        (n, _, size), columns, nav = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
+        if not n:
+            return self.by_nav @ matrix[:nav]
+        blocks = matrix[nav:].reshape(-1, size, columns)
         if self.slots is not None:
             blocks = blocks[self.slots]
         out = np.empty((len(self.by_nav), columns))
@@ -109,10 +110,13 @@ class Jacobian:
 
     def transposed_times(self, matrix: Array, *, size: int) -> Array:
         """``H^T A``, ``(d, k)``, for ``A (m, k)``."""
-        n, columns, nav = len(self.by_landmark), matrix.shape[1], self.by_nav.shape[1]
+        (n, _, own), columns, nav = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
         out = np.empty((size, columns))
-        out[:nav] = self.by_nav.T @ matrix
-        blocks = out[nav:].reshape(-1, LANDMARK, columns)
+        np.matmul(self.by_nav.T, matrix, out=out[:nav])
+        if not n:
+            out[nav:] = 0.0
+            return out
+        blocks = out[nav:].reshape(-1, own, columns)
         found = self.by_landmark.transpose(0, 2, 1) @ matrix[: 3 * n].reshape(n, 3, columns)
         if self.slots is None:
             blocks[...] = found
@@ -289,14 +293,14 @@ class Append(Step):
     by_nav: Array
 
     def forward(self, cov: Array, noise: Array) -> Array:
-        """Grow the covariance; ``noise (n, 4, 4)`` is that of each new landmark."""
-        size, (added, nav), n = len(cov), self.by_nav.shape, len(noise)
+        """Grow the covariance; ``noise (n, s, s)`` is that of each new landmark."""
+        size, (added, nav), (n, own_size, _) = len(cov), self.by_nav.shape, noise.shape
         out = np.empty((size + added, size + added))
         out[:size, :size] = cov
         out[size:, :size] = self.by_nav @ cov[:nav]
         out[:size, size:] = out[size:, :size].T
         own = out[size:, :nav] @ self.by_nav.T
-        blocks = own.reshape(n, LANDMARK, n, LANDMARK)
+        blocks = own.reshape(n, own_size, n, own_size)
         each = np.arange(n)
         blocks[each, :, each, :] += noise
         out[size:, size:] = own

@@ -95,10 +95,10 @@ class Camera:
         -------
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, 4, d_nav)
-            Derivative with respect to the navigation state.
-        by_measurement : (n, 4, 4)
-            Derivative with respect to (uL, uR, v) and to the stereo-matching bias.
+        by_nav : (n, s, d_nav)
+            Derivative of the landmark's error, of the layout's size s, with respect to the navigation state.
+        by_measurement : (n, s, s)
+            Derivative with respect to (uL, uR, v) and to the stereo-matching bias, if it is in the error.
         """
         errors, parametrisation, n = self.errors(nav), self.parametrisation, len(z)
         rig = self.actual(errors)
@@ -119,14 +119,16 @@ class Camera:
         landmarks = np.zeros((n, LANDMARK))
         landmarks[:, :3] = parametrisation.coordinates(in_anchor)
         by_camera = parametrisation.coordinates_jacobian(in_anchor) @ anchor_T_cam
-        by_measurement = np.zeros((n, LANDMARK, 4))
+        size = self.layout.landmark
+        by_measurement = np.zeros((n, size, size))
         by_measurement[:, :3, 0] = by_camera[:, :, 0] / rig.fx + by_camera[:, :, 3] * per_disparity
         by_measurement[:, :3, 1] = -by_camera[:, :, 3] * per_disparity
         by_measurement[:, :3, 2] = by_camera[:, :, 1] / rig.fy
-        # The disparity of the point itself is (uL - uR - o) / (1 + e).
-        by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
-        by_measurement[:, 3, 3] = 1.0
-        by_nav = np.zeros((n, LANDMARK, self.layout.size))
+        if size == LANDMARK:
+            # The disparity of the point itself is (uL - uR - o) / (1 + e).
+            by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
+            by_measurement[:, 3, 3] = 1.0
+        by_nav = np.zeros((n, size, self.layout.size))
         imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
         by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3]) @ imu_to_anchor
         self.add_rotation(by_nav, errors, by_nav[..., POSE])
@@ -200,9 +202,9 @@ class View:
             With respect to the navigation state. Its pose block has minus the circle-dot operator of the
             point in the body (Barfoot 2017, section 7.1.8); the course report's eq. 26 lacks sign and
             inverse.
-        by_landmark : (n, 3, 4)
+        by_landmark : (n, 3, s)
             With respect to the landmark, by the chain rule (course report, eq. 19), and to its
-            stereo-matching bias.
+            stereo-matching bias, if it is in the error.
         """
         rig = self.rig
         x, y, z, w = self.in_camera.T
@@ -226,10 +228,10 @@ class View:
             shared = self.errors.by_pixel_errors(self.measurement(), self.camera.rig, layout)
             for name, columns in shared.items():
                 by_nav[:, :, layout[name]] = columns
-        by_landmark = np.empty((len(z), 3, LANDMARK))
+        by_landmark = np.zeros((len(z), 3, layout.landmark))
         by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.parametrisation.linear)
-        by_landmark[:, :, 3] = 0.0
-        by_landmark[:, 1, 3] = -disparity
+        if layout.landmark == LANDMARK:
+            by_landmark[:, 1, 3] = -disparity
         return by_nav, by_landmark
 
     def drift_cov(self, drift: float) -> Array:

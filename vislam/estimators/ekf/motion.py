@@ -16,7 +16,7 @@ from vislam.core.estimator import (
 from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf.inertial import InertialMotion
-from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.propagation import Block, Measurement, Motion, Propagation
 from vislam.geometry import se3, so3
 from vislam.models import odometry, shared_errors
@@ -246,11 +246,11 @@ class Navigation:
     cov: Array
 
 
-def navigation(problem: Problem, motion: Motion) -> Navigation:
-    """Navigation state before the first frame, of the priors."""
+def navigation(problem: Problem, motion: Motion, *, landmark: int = LANDMARK) -> Navigation:
+    """Navigation state before the first frame, of the priors, in a state of landmarks of that size."""
     blocks, shared = dict(motion.blocks()), problem.shared()
     blocks |= {name: _shared_block(name, shared[name]) for name in shared_errors.OF_CAMERA if name in shared}
-    layout = NavLayout({name: len(block.mean) for name, block in blocks.items()})
+    layout = NavLayout({name: len(block.mean) for name, block in blocks.items()}, landmark=landmark)
     nav, cov = np.zeros(layout.size), np.zeros((layout.size, layout.size))
     cov[POSE, POSE] = problem.first_pose_cov
     for name, block in blocks.items():

@@ -86,7 +86,8 @@ class JointState:
         Landmarks as estimated now, and as first estimated.
     seen_at : (n,)
         Frame in which each was in view last.
-    cov : (d_nav + 4n, d_nav + 4n)
+    cov : (d_nav + s n, d_nav + s n)
+        Of the error, s being the layout's size of a landmark.
     steps : list of Step or None
         Where steps are noted for the backward pass.
     """
@@ -134,8 +135,14 @@ class JointState:
         return np.column_stack([self.first[:, :3], self.landmarks[:, 3]])
 
     def variances(self) -> Array:
-        """Variances of the landmarks' coordinates, ``(n, 4)``."""
-        return np.diagonal(self.cov)[self.layout.size :].reshape(-1, LANDMARK)
+        """Variances of the landmarks, ``(n, 4)``; 0 for a stereo-matching bias that is not in the error."""
+        return self.of_landmarks(np.diagonal(self.cov))
+
+    def of_landmarks(self, error: Array) -> Array:
+        """Part of an error ``(d,)`` that is that of the landmarks, ``(n, 4)``."""
+        out = np.zeros((len(self.track), LANDMARK))
+        out[:, : self.layout.landmark] = error[self.layout.size :].reshape(-1, self.layout.landmark)
+        return out
 
     def predict(self, step: Propagation) -> None:
         """Take a step of the model of motion."""
@@ -152,8 +159,8 @@ class JointState:
 
     def add_drift(self, slots: IntArray, noise: Array) -> None:
         """Let coordinates of some landmarks walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
-        n, nav = len(self.track), self.layout.size
-        blocks = self.cov[nav:, nav:].reshape(n, LANDMARK, n, LANDMARK)
+        n, nav, size = len(self.track), self.layout.size, self.layout.landmark
+        blocks = self.cov[nav:, nav:].reshape(n, size, n, size)
         blocks[slots, :3, slots, :3] += noise
 
     def correct(self, update: Update) -> None:
@@ -191,8 +198,8 @@ class JointState:
         track : (n,)
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, 4, d_nav)
-        noise : (n, 4, 4)
+        by_nav : (n, s, d_nav)
+        noise : (n, s, s)
             Covariances for a known navigation state.
         seen_at : int
             The frame.
@@ -210,7 +217,7 @@ class JointState:
         """Marginalise the landmarks outside the mask ``(n,)``: drop their rows and columns."""
         if self.steps is not None:
             self.steps.append(self.marginalised(np.flatnonzero(~mask)))
-        step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, LANDMARK)]))
+        step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)]))
         self.cov = step.forward(self.cov)
         self._note(step)
         self.track, self.anchors = self.track[mask], self.anchors[mask]
@@ -219,9 +226,9 @@ class JointState:
 
     def marginalised(self, slots: IntArray) -> "Marginalised":
         """Estimates of some landmarks before they are marginalised."""
-        nav = self.layout.size
-        rows = self.cov[nav:].reshape(-1, LANDMARK, len(self.cov))[slots, :3]
-        columns = nav + LANDMARK * slots[:, None] + np.arange(3)
+        nav, size = self.layout.size, self.layout.landmark
+        rows = self.cov[nav:].reshape(-1, size, len(self.cov))[slots, :3]
+        columns = nav + size * slots[:, None] + np.arange(3)
         return Marginalised(
             track=self.track[slots],
             q=self.landmarks[slots, :3],
@@ -240,7 +247,7 @@ class JointState:
         landmarks, nav = self.landmarks, self.layout.size
         self.nav = self.nav + error[:nav]
         self.world_T_imu = se3.retract(before, error[POSE])
-        self.landmarks = landmarks + error[nav:].reshape(-1, LANDMARK)
+        self.landmarks = landmarks + self.of_landmarks(error)
         if self.form == "standard":
             return None
         kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
@@ -255,7 +262,7 @@ class JointState:
         moved = self.parametrisation.moved(self.landmarks[:, :3]) - self.parametrisation.moved(
             landmarks[:, :3]
         )
-        change = np.zeros((len(landmarks), LANDMARK, 6))
+        change = np.zeros((len(landmarks), self.layout.landmark, 6))
         change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
         return Reset(kept, np.concatenate([behind, change.reshape(-1, 6)]))
 
