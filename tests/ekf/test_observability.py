@@ -8,7 +8,7 @@ import pytest
 from tests.shared_errors import every_shared_error
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators import loop
-from vislam.estimators.ekf import EkfEstimator, EkfOptions, observability
+from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.ekf.linear import Update
 from vislam.estimators.ekf.measurement import View
 from vislam.estimators.ekf.state import JointState
@@ -88,7 +88,7 @@ def test_the_noise_of_an_update_is_found_in_it(short, short_config):
         solver.process(frame)
     for step in solver.state.steps:
         if isinstance(step, Update):
-            white = observability._white(step).reshape(-1, 3)
+            white = step.white.reshape(-1, 3)
             assert np.allclose(white, problem.track_noise.sigma**2, rtol=1e-6)
             updates += 1
     assert updates > 5

@@ -201,7 +201,7 @@ def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation
 def _landmarks(
     left: Marginalised, q: Array, cov: Array, cross: Array, parametrisation: Parametrisation
 ) -> Landmarks:
-    """Points of coordinates ``q (n, 3)`` of covariances ``cov``, and ``cross (n, 3, 6)`` with the last pose."""
+    """Points of coordinates ``q (n, 3)`` with their covariances, and those with the last pose."""
     points, jacobian = parametrisation.points(q)
     turned = left.anchors[:, :3, :3] @ jacobian
     return Landmarks(

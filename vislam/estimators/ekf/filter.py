@@ -1,6 +1,7 @@
 """EKF SLAM, one frame at a time: marginalise, predict, gate, update, initialise."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from vislam.estimators.ekf import backward, motion, parametrisation
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
 from vislam.estimators.ekf.layout import COORDINATES, LANDMARK
-from vislam.estimators.ekf.linear import Jacobian, Update
+from vislam.estimators.ekf.linear import Correction, Jacobian, Update
 from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
+from vislam.estimators.ekf.observed import ObservedUpdate
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.propagation import reported
 from vislam.estimators.ekf.reweighting import student_weights
@@ -199,7 +201,7 @@ class EkfEstimator:
         *,
         allowed: BoolArray,
         slots: IntArray,
-    ) -> tuple[BoolArray, BoolArray, Update | None]:
+    ) -> tuple[BoolArray, BoolArray, Correction | None]:
         """Gate and fuse the observations in ``rows`` of the frame, of the landmarks ``slots``.
 
         Returns the masks ``(n,)`` of those that were fused and gated, and the update if anything was fused.
@@ -215,8 +217,10 @@ class EkfEstimator:
         good, gated = allowed & passes, allowed & ~passes
         if not good.any():
             return nothing, gated, None
-        weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
-        update = innovation.update(weighted, good)
+        # From here on only of those that pass.
+        variance, distance = variance[good], distance[good]
+        part = innovation.of(good)
+        update = part.update(self._weighted(part, variance, frame.k, distance=distance))
         # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
         for _ in range(self._options.iterations - 1):
             correction = update.correction
@@ -227,8 +231,8 @@ class EkfEstimator:
             if not (view.depth[good] > self._nearest).all():
                 break
             innovation = self._linearise(state, view, z, slots, correction=correction)
-            weighted = self._weighted(innovation, variance, good, frame.k, distance=distance)
-            update = innovation.update(weighted, good)
+            part = innovation.of(good)
+            update = part.update(self._weighted(part, variance, frame.k, distance=distance))
             change = update.correction - correction
             if (change**2 <= _CONVERGED**2 * np.diagonal(state.cov)).all():
                 break
@@ -250,25 +254,19 @@ class EkfEstimator:
         if correction is not None:
             by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
             value += jacobian.times(correction[:, None])[:, 0]
-        projected = jacobian.times(state.cov)
-        return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
+        return _Innovation(value, jacobian, jacobian.times(state.cov))
 
-    def _weighted(
-        self, innovation: "_Innovation", variance: Array, good: BoolArray, k: int, *, distance: Array
-    ) -> Array:
+    def _weighted(self, innovation: "_Innovation", variance: Array, k: int, *, distance: Array) -> Array:
         """Variances ``(n, 3)`` under the kernel, if there is one, that starts from ``distance (n,)``."""
         kernel = self._problem.kernel
         if kernel is None:
             return variance
-        value, spread = innovation.of(good)
         weights, converged = student_weights(
-            kernel, spread, variance[good], value, first=kernel.weight(distance[good])
+            kernel, innovation.spread, variance, innovation.value, first=kernel.weight(distance)
         )
         if not converged:
             self._not_converged.add(k)
-        variance = variance.copy()
-        variance[good] /= weights[:, None]
-        return variance
+        return variance / weights[:, None]
 
     def _measure(self, state: JointState, frame: Frame) -> float:
         """Fuse what the model of motion measures; returns the logarithm of its density."""
@@ -320,44 +318,48 @@ class EkfEstimator:
 
 @dataclass(frozen=True)
 class _Innovation:
-    """Linearised observations of all landmarks of the state.
+    """Linearised observations of landmarks of the state.
 
     Attributes
     ----------
     value : (3n,)
         Measured less predicted [px].
     jacobian : Jacobian
-    projected, spread : (3n, d), (3n, 3n)
-        ``H P`` and ``H P H^T``.
+    projected : (3n, d)
+        ``H P``.
     """
 
     value: Array
     jacobian: Jacobian
     projected: Array
-    spread: Array
+
+    @cached_property
+    def spread(self) -> Array:
+        """``H P H^T``, ``(3n, 3n)``."""
+        return self.jacobian.times(self.projected.T)
 
     def distances(self, variance: Array) -> Array:
         """Squared Mahalanobis distance ``(n,)`` of each observation of white noise ``variance (n, 3)``."""
-        n, each = len(variance), np.arange(len(variance))
-        own = self.spread.reshape(n, 3, n, 3)[each, :, each] + variance[:, :, None] * np.eye(3)
-        value = self.value.reshape(n, 3)
+        own = self.jacobian.own_blocks(self.projected) + variance[:, :, None] * np.eye(3)
+        value = self.value.reshape(len(variance), 3)
         return np.einsum("ni,ni->n", value, np.linalg.solve(own, value[:, :, None])[:, :, 0])
 
-    def of(self, good: BoolArray) -> tuple[Array, Array]:
-        """``value`` and ``spread`` of the good observations, as copies."""
-        rows = np.flatnonzero(np.repeat(good, 3))
-        return self.value[rows], self.spread[np.ix_(rows, rows)]
-
-    def update(self, variance: Array, good: BoolArray) -> Update:
-        """Update with the good observations; uses up ``projected`` and ``spread``."""
-        self.spread.reshape(-1)[:: len(self.spread) + 1] += variance.reshape(-1)
+    def of(self, good: BoolArray) -> "_Innovation":
+        """Return those of the good observations."""
         if good.all():
-            return Update.of(self.jacobian, self.projected, self.spread, self.value)
+            return self
         rows, of = np.flatnonzero(np.repeat(good, 3)), self.jacobian
         slots = np.flatnonzero(good) if of.slots is None else of.slots[good]
         part = Jacobian(of.by_nav[rows], of.by_landmark[good], slots)
-        spread = self.spread.take(rows, axis=0).take(rows, axis=1)
-        return Update.of(part, self.projected.take(rows, axis=0), spread, self.value[rows])
+        return _Innovation(self.value[rows], part, self.projected.take(rows, axis=0))
+
+    def update(self, variance: Array) -> Correction:
+        """Update with the observations, of white noise ``variance (n, 3)``; uses up its matrices."""
+        spread, noise = self.spread, variance.reshape(-1)
+        spread.reshape(-1)[:: len(spread) + 1] += noise
+        if ObservedUpdate.fits(self.jacobian):
+            return ObservedUpdate.of(self.jacobian, self.projected, spread, self.value, variance=noise)
+        return Update.of(self.jacobian, self.projected, spread, self.value)
 
 
 def _places(track: IntArray, in_frame: IntArray) -> IntArray:
@@ -369,5 +371,5 @@ def _places(track: IntArray, in_frame: IntArray) -> IntArray:
     return np.where(in_frame[place] == track, place, -1)
 
 
-def _log_density(update: Update, dof: int) -> float:
+def _log_density(update: Correction, dof: int) -> float:
     return -0.5 * (update.nis + update.log_det + dof * float(np.log(2.0 * np.pi)))

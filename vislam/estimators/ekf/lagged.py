@@ -19,12 +19,11 @@ that the filter estimates depends on them.
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
 
 from vislam.base.types import Array
 from vislam.core.lagged import LagReader, Lags
 from vislam.core.trajectory import Poses
-from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.linear import Append, Correction, Keep, Move, Reset, Step
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
@@ -80,7 +79,7 @@ class LastPoses:
     def _take(self, step: Step) -> None:
         if not len(self._pose):
             return
-        if isinstance(step, Update):
+        if isinstance(step, Correction):
             self._rows = self._told(step)
         elif isinstance(step, Keep):
             self._rows = self._rows[:, step.rows]
@@ -96,12 +95,10 @@ class LastPoses:
                 self._rows[:, nav:] += self._rows[:, POSE] @ step.rest.T
             self._rows[:, POSE] = self._rows[:, POSE] @ step.pose.T
 
-    def _told(self, update: Update) -> Array:
+    def _told(self, update: Correction) -> Array:
         """Correct the poses by a measurement; return their covariance with the state after it."""
-        projected = update.jacobian.times(self._rows.T)
-        # C H^T L^-T, from the right as in Update.of.
-        gain = dtrsm(1.0, update.factor, projected.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-        self._error = self._error + gain @ update.whitened
-        each = gain.reshape(-1, _SIZE, gain.shape[1])
-        self._cov = self._cov - each @ each.transpose(0, 2, 1)
-        return self._rows - gain @ update.whitened_gain
+        told = update.tell(self._rows)
+        self._error = self._error + told.correction
+        left, right = (part.reshape(-1, _SIZE, part.shape[1]) for part in (told.left, told.right))
+        self._cov = self._cov - left @ right.transpose(0, 2, 1)
+        return told.rows

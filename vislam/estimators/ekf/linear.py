@@ -21,6 +21,9 @@ from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.models.odometry import POSE
 
+_BLOCK = 128
+_LOWER = np.tri(_BLOCK, k=-1, dtype=bool)
+
 
 @dataclass
 class Adjoint:
@@ -108,6 +111,16 @@ class Jacobian:
         out += self.by_nav @ matrix[:nav]
         return out
 
+    def own_blocks(self, projected: Array) -> Array:
+        """Blocks on the diagonal of ``H P H^T``, ``(n, 3, 3)``, from ``projected = H P (3n, d)``."""
+        n, _, size = self.by_landmark.shape
+        each, nav = np.arange(n), self.by_nav.shape[1]
+        slots = each if self.slots is None else self.slots
+        rows = projected.reshape(n, 3, -1)
+        of_landmark = rows[:, :, nav:].reshape(n, 3, -1, size)[each, :, slots]
+        out = rows[:, :, :nav] @ self.by_nav.reshape(n, 3, nav).transpose(0, 2, 1)
+        return np.asarray(out + of_landmark @ self.by_landmark.transpose(0, 2, 1))
+
     def transposed_times(self, matrix: Array, *, size: int) -> Array:
         """``H^T A``, ``(d, k)``, for ``A (m, k)``."""
         (n, _, own), columns, nav = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
@@ -127,8 +140,95 @@ class Jacobian:
 
 
 @dataclass(frozen=True)
-class Update(Step):
+class Told:
+    """What a measurement says of k quantities that are no part of the state.
+
+    Attributes
+    ----------
+    correction : (k,)
+    left, right : (k, m)
+        ``left right^T`` is what their covariance loses.
+    rows : (k, d)
+        Their covariance with the state afterwards.
+    """
+
+    correction: Array
+    left: Array
+    right: Array
+    rows: Array
+
+
+class Correction(Step):
     """Measurement, ``x <- x + K (innovation - H x)`` (Barfoot 2017, 4.2.3; course report, eqs. 28, 29).
+
+    A subclass says in which form it holds the gain.
+    """
+
+    jacobian: Jacobian
+
+    def pull(self) -> Array:
+        """``S^-1 innovation``, ``(m,)``."""
+        raise NotImplementedError
+
+    @property
+    def gain(self) -> Array:
+        """``K^T = S^-1 H P``, ``(m, d)``."""
+        raise NotImplementedError
+
+    @property
+    def inverse(self) -> Array:
+        """``S^-1``, ``(m, m)``."""
+        raise NotImplementedError
+
+    @property
+    def white(self) -> Array:
+        """Variances ``(m,)`` of the white noise, ``S - H P H^T`` [px^2]."""
+        raise NotImplementedError
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared."""
+        raise NotImplementedError
+
+    @property
+    def log_det(self) -> float:
+        """Logarithm of the determinant of S."""
+        raise NotImplementedError
+
+    @property
+    def correction(self) -> Array:
+        """``K innovation``, ``(d,)``."""
+        raise NotImplementedError
+
+    def forward(self, cov: Array) -> None:
+        """Set the covariance to that after the update."""
+        raise NotImplementedError
+
+    def tell(self, rows: Array) -> Told:
+        """What it says of quantities whose covariance with the state is ``rows (k, d)``."""
+        raise NotImplementedError
+
+    def back(self, after: Adjoint) -> Adjoint:
+        """``N <- H^T S^-1 H + (1 - K H)^T N (1 - K H)``, ``r <- H^T S^-1 innovation + (1 - K H)^T r``."""
+        size, gain = len(after.vectors), self.gain
+        seen = gain @ after.information
+        inner = seen @ gain.T
+        inner += self.inverse
+        # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
+        np.negative(seen, out=seen)
+        seen += 0.5 * self.jacobian.transposed_times(inner, size=size).T
+        change = self.jacobian.transposed_times(seen, size=size)
+        after.information += change
+        after.information += change.T
+        later = -(gain @ after.vectors)
+        later[:, 0] += self.pull()
+        after.vectors += self.jacobian.transposed_times(later, size=size)
+        return after
+
+
+@dataclass(frozen=True)
+class Update(Correction):
+    """Measurement by the whitened gain: ``P - W^T W``.
 
     Attributes
     ----------
@@ -136,7 +236,7 @@ class Update(Step):
     factor : (m, m)
         Lower Cholesky factor L of the innovation covariance S; its upper half is not looked at.
     whitened_gain : (m, d)
-        ``L^-1 H P``, so that ``K = whitened_gain^T L^-1``.
+        ``W = L^-1 H P``, so that ``K = W^T L^-1``.
     whitened : (m,)
         ``L^-1 innovation``.
     """
@@ -155,15 +255,32 @@ class Update(Step):
         DivergedError
             If S is not positive definite.
         """
-        factor, failed = dpotrf(spread.T, lower=1, clean=0, overwrite_a=1)
-        if failed:
-            smallest = float(np.linalg.eigvalsh(jacobian.times(projected.T))[0])
-            raise DivergedError(
-                f"innovation covariance lost, smallest eigenvalue of H P H' is {smallest:.3g}"
-            )
+        factor = cholesky(spread, jacobian, projected)
         # From the right, since the transpose of a C-ordered matrix is what Fortran wants.
         gain = dtrsm(1.0, factor, projected.T, side=1, lower=1, trans_a=1, overwrite_b=1)
         return cls(jacobian, factor, gain.T, dtrsv(factor, innovation, lower=1))
+
+    @property
+    def gain(self) -> Array:
+        """``K^T = L^-T W``, ``(m, d)``."""
+        return dtrsm(1.0, self.factor, self.whitened_gain.T, side=1, lower=1).T
+
+    @property
+    def inverse(self) -> Array:
+        """``S^-1``, ``(m, m)``."""
+        inverse, _ = dpotri(self.factor, lower=1)
+        return mirror(inverse.T)
+
+    def pull(self) -> Array:
+        """``S^-1 innovation``, ``(m,)``."""
+        return dtrsv(self.factor, self.whitened, lower=1, trans=1)
+
+    @property
+    def white(self) -> Array:
+        """Variances ``(m,)`` of the white noise [px^2]."""
+        factor = np.tril(self.factor)
+        by_state = self.jacobian.times((factor @ self.whitened_gain).T)
+        return np.asarray(np.sum(factor**2, axis=1) - np.diagonal(by_state))
 
     @property
     def nis(self) -> float:
@@ -181,36 +298,46 @@ class Update(Step):
         return self.whitened @ self.whitened_gain
 
     def forward(self, cov: Array) -> None:
-        """Take ``W^T W`` off the covariance, W being the whitened gain: symmetric to the last bit."""
+        """Take ``W^T W`` off the covariance: symmetric to the last bit."""
         cov -= self.whitened_gain.T @ self.whitened_gain
 
-    def back(self, after: Adjoint) -> Adjoint:
-        """``N <- H^T S^-1 H + (1 - K H)^T N (1 - K H)``, ``r <- H^T S^-1 innovation + (1 - K H)^T r``."""
-        size = len(after.vectors)
-        gain = dtrsm(1.0, self.factor, self.whitened_gain.T, side=1, lower=1).T
-        seen = gain @ after.information
-        inner = seen @ gain.T
-        inverse, _ = dpotri(self.factor, lower=1)
-        lower = np.tril(inverse)
-        inner += lower
-        inner += lower.T
-        inner.reshape(-1)[:: len(inner) + 1] -= np.diagonal(lower)
-        # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
-        np.negative(seen, out=seen)
-        seen += 0.5 * self.jacobian.transposed_times(inner, size=size).T
-        change = self.jacobian.transposed_times(seen, size=size)
-        after.information += change
-        after.information += change.T
-        later = -(gain @ after.vectors)
-        later[:, 0] += dtrsv(self.factor, self.whitened, lower=1, trans=1)
-        after.vectors += self.jacobian.transposed_times(later, size=size)
-        return after
+    def tell(self, rows: Array) -> Told:
+        """What it says of quantities whose covariance with the state is ``rows (k, d)``."""
+        seen = self.jacobian.times(rows.T)
+        # C H^T L^-T, from the right as in Update.of.
+        gain = dtrsm(1.0, self.factor, seen.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+        return Told(gain @ self.whitened, gain, gain, rows - gain @ self.whitened_gain)
 
     @property
     def nbytes(self) -> int:
         """Memory that it holds [bytes]."""
         held = self.jacobian
         return super().nbytes + held.by_nav.nbytes + held.by_landmark.nbytes
+
+
+def cholesky(spread: Array, jacobian: Jacobian, projected: Array) -> Array:
+    """Lower Cholesky factor of ``S (m, m)``, which is used up; its upper half is not to be looked at.
+
+    Raises
+    ------
+    DivergedError
+        If S is not positive definite.
+    """
+    factor, failed = dpotrf(spread.T, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        smallest = float(np.linalg.eigvalsh(jacobian.times(projected.T))[0])
+        raise DivergedError(f"innovation covariance lost, smallest eigenvalue of H P H' is {smallest:.3g}")
+    return factor
+
+
+def mirror(upper: Array) -> Array:
+    """Fill in the lower half of a symmetric matrix ``(m, m)`` from the upper one, in place; returns it."""
+    for start in range(0, len(upper), _BLOCK):
+        own = slice(start, start + _BLOCK)
+        block = upper[own, own]
+        block[_LOWER[: len(block), : len(block)]] = block.T[_LOWER[: len(block), : len(block)]]
+        upper[own.stop :, own] = upper[own, own.stop :].T
+    return upper
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.estimators.ekf.layout import NavLayout
-from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.linear import Append, Correction, Keep, Move, Reset, Step
 from vislam.geometry import se3
 from vislam.models.odometry import POSE
 
@@ -55,9 +55,9 @@ class Unobservable:
         """Follow one step; a marginalisation of landmarks or a record of the pose changes nothing."""
         held, nav = self.directions, self._nav
         match step:
-            case Update():
+            case Correction():
                 seen = step.jacobian.times(held)
-                return np.asarray(np.sum(seen**2 / _white(step)[:, None], axis=0)) * self._asked
+                return np.asarray(np.sum(seen**2 / step.white[:, None], axis=0)) * self._asked
             case Move():
                 held[:nav] = step.transition @ held[:nav]
             case Reset():
@@ -79,11 +79,3 @@ def unit_motions(layout: NavLayout, world_T_imu: Array, nav: Array) -> Array:
 def free_motions(layout: NavLayout) -> Array:
     """Which motions of the world ``(6,)`` nothing observes, 1 or 0; gravity shows turns about x and y."""
     return np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0]) if layout.moves else np.ones(6)
-
-
-def _white(update: Update) -> Array:
-    """Variances ``(m,)`` of the white noise of an update [px^2]: ``S - H P H^T``."""
-    factor = np.tril(update.factor)
-    projected = factor @ update.whitened_gain
-    by_state = update.jacobian.times(projected.T)
-    return np.asarray(np.sum(factor**2, axis=1) - np.diagonal(by_state))

@@ -8,7 +8,7 @@ import numpy as np
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
-from vislam.estimators.ekf.linear import Append, Keep, Move, Reset, Step, Update
+from vislam.estimators.ekf.linear import Append, Correction, Keep, Move, Reset, Step
 from vislam.estimators.ekf.parametrisation import Parametrisation
 from vislam.estimators.ekf.propagation import Propagation
 from vislam.geometry import se3
@@ -163,7 +163,7 @@ class JointState:
         blocks = self.cov[nav:, nav:].reshape(n, size, n, size)
         blocks[slots, :3, slots, :3] += noise
 
-    def correct(self, update: Update) -> None:
+    def correct(self, update: Correction) -> None:
         """Take an update.
 
         Raises
