@@ -141,3 +141,14 @@ def test_it_is_exact_on_the_recording(options):
     smoothed, dense, _ = both(dataset, config, **options)
     assert len(dense.track) > 100
     check_equal(smoothed, dense)
+
+
+def test_a_stretch_ends_before_it_takes_much_of_the_memory(short: Dataset, short_config: Config):
+    """Large steps are dropped a few frames at a time, so that the memory holds for many tracks as well."""
+    problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
+    estimator = EkfEstimator(problem, EkfOptions(memory_mb=0.5))
+    for frame in short.sequence.frames(sigma):
+        estimator.process(frame)
+    assert estimator._recorder is not None
+    assert max(len(stretch.inputs) for stretch in estimator._recorder._stretches[-2:]) < 8
+    assert estimator._recorder.peak < 1.5 * 0.5e6

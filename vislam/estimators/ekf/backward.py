@@ -20,7 +20,9 @@ from vislam.geometry import se3
 from vislam.models.odometry import POSE
 
 _STRETCH = 16
-"""Frames between two states that are kept."""
+"""Frames between two states that are kept, at most."""
+_STRETCH_SHARE = 0.25
+"""Share of the memory that the steps of a stretch may take before the next one begins."""
 _STATES_SHARE = 0.25
 """Share of the memory that the kept states may take."""
 
@@ -82,6 +84,10 @@ class _Stretch:
     steps: list[Step] | None = field(default_factory=list)
     nbytes: int = 0
 
+    def full(self, memory: int) -> bool:
+        """Whether the next one is to begin, so that dropping one leaves others in ``memory`` [bytes]."""
+        return len(self.inputs) >= _STRETCH or self.nbytes > _STRETCH_SHARE * memory
+
 
 class Recorder:
     """Steps of a filter in the order they were taken, within bounded memory.
@@ -108,7 +114,7 @@ class Recorder:
 
     def take(self, state: JointState, frame: Frame) -> Answer:
         """Advance the state by a frame, and record its steps."""
-        if not self._stretches or len(self._stretches[-1].inputs) >= _STRETCH:
+        if not self._stretches or self._stretches[-1].full(self._memory):
             self._stretches.append(_Stretch(state.copy()))
             self._held += state.nbytes
         current = self._stretches[-1]
