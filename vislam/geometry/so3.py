@@ -1,5 +1,7 @@
 """Rotations: hat, exponential, logarithm and the Jacobians of the exponential, all in batch form."""
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +22,9 @@ def hat(omega: Array) -> Array:
     -------
     (..., 3, 3), with ``hat(a) @ b == cross(a, b)``.
     """
+    if omega.ndim == 1:
+        x, y, z = omega.tolist()
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     out = np.zeros((*omega.shape, 3))
     out[..., 0, 1], out[..., 0, 2] = -omega[..., 2], omega[..., 1]
     out[..., 1, 0], out[..., 1, 2] = omega[..., 2], -omega[..., 0]
@@ -70,10 +75,31 @@ def left_jacobian(omega: Array) -> Array:
 
     Barfoot, *State Estimation for Robotics* (2017), eq. (7.77); ``(..., 3)`` to ``(..., 3, 3)``.
     """
+    if omega.ndim == 1:
+        return _left_jacobian_of_one(*omega.tolist())
     angle = np.linalg.norm(omega, axis=-1)
     first, second = cosine_coefficient(angle), sine_coefficient(angle)
     matrix = hat(omega)
     return np.eye(3) + first[..., None, None] * matrix + second[..., None, None] * (matrix @ matrix)
+
+
+def _left_jacobian_of_one(x: float, y: float, z: float) -> Array:
+    """Left Jacobian of a single vector, which filters ask for at every step, without an array on the way."""
+    xx, yy, zz = x * x, y * y, z * z
+    angle = math.sqrt(xx + yy + zz)
+    half = 0.5 * angle
+    first = 0.5 * (math.sin(half) / half) ** 2 if half > 0.0 else 0.5
+    small = angle < _SMALL_ANGLE
+    second = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - math.sin(angle)) / angle**3
+    xy, xz, yz = second * x * y, second * x * z, second * y * z
+    x, y, z = first * x, first * y, first * z
+    return np.array(
+        [
+            [1.0 - second * (yy + zz), xy - z, xz + y],
+            [xy + z, 1.0 - second * (xx + zz), yz - x],
+            [xz - y, yz + x, 1.0 - second * (xx + yy)],
+        ]
+    )
 
 
 def cosine_coefficient(angle: Array) -> Array:

@@ -14,7 +14,7 @@ inverse of a covariance.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg.blas import dgemm, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from vislam.base.errors import DivergedError
@@ -388,8 +388,12 @@ class Reset(Step):
         if self.rest is not None:
             # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
             b = np.concatenate([np.zeros((len(cov) - len(self.rest), 6)), self.rest])
-            half = cov[:, POSE] + 0.5 * b @ cov[POSE, POSE]
-            cov += np.hstack([b, half]) @ np.hstack([half, b]).T
+            half = cov[:, POSE] + 0.5 * (b @ cov[POSE, POSE])
+            left, right = np.concatenate([b, half], axis=1), np.concatenate([half, b], axis=1)
+            # In place where cov^T is of Fortran's order; what is added to it is as symmetric as cov.
+            out = dgemm(1.0, right.T, left.T, beta=1.0, c=cov.T, trans_a=1, overwrite_c=1)
+            if not np.may_share_memory(out, cov):
+                cov[...] = out.T
         cov[POSE] = self.pose @ cov[POSE]
         cov[:, POSE] = cov[:, POSE] @ self.pose.T
 

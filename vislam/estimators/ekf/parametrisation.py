@@ -23,6 +23,7 @@ from vislam.models import StereoRig
 
 ParametrisationName = Literal["point", "anchored_uvd"]
 
+_AXES = np.arange(3)
 _FARTHEST = 1e-4
 """Smallest w for which a point is returned: 10 km where z is 1 [1/m]."""
 
@@ -67,8 +68,7 @@ class Parametrisation:
         homogeneous = self.homogeneous(q)
         by_motion = np.zeros((len(q), 4, 6))
         by_motion[:, :3, :3] = so3.hat(-homogeneous[:, :3])
-        for axis in range(3):
-            by_motion[:, axis, 3 + axis] = homogeneous[:, 3]
+        by_motion[:, _AXES, 3 + _AXES] = homogeneous[:, 3, None]
         by_motion -= homogeneous[:, :, None] * by_motion[:, self.one, None, :]
         return np.asarray(self._inverse @ by_motion)
 

@@ -259,9 +259,9 @@ class JointState:
             rest = np.zeros((len(self.cov) - nav, 6))
             return Reset(kept, np.concatenate([behind, rest]) if self.layout.moves else None)
         # What a motion of the world does to the coordinates, after the correction less before it.
-        moved = self.parametrisation.moved(self.landmarks[:, :3]) - self.parametrisation.moved(
-            landmarks[:, :3]
-        )
+        n = len(landmarks)
+        both = self.parametrisation.moved(np.concatenate([self.landmarks[:, :3], landmarks[:, :3]]))
+        moved = both[:n] - both[n:]
         change = np.zeros((len(landmarks), self.layout.landmark, 6))
         change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
         return Reset(kept, np.concatenate([behind, change.reshape(-1, 6)]))
