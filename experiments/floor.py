@@ -23,7 +23,7 @@ from experiments.timing import Drive, FrameSizes, Part, quickest, timed
 from vislam.base.types import Array
 from vislam.estimators import ekf
 from vislam.estimators.ekf import EkfOptions
-from vislam.estimators.ekf.layout import LANDMARK
+from vislam.estimators.ekf.layout import COORDINATES, LANDMARK
 from vislam.models.odometry import NAV
 
 VARIANTS: Mapping[str, EkfOptions] = {name: EkfOptions(**ekf.VARIANTS[name]) for name in ("ekf", "eks")}
@@ -45,7 +45,8 @@ class _Matrices:
         Room for ``H P``, and its values.
     spread, factor : (m, m)
         A positive definite matrix, and a lower triangle; in Fortran's order.
-    by_landmark, by_nav : (n, 3, 4), (m, NAV)
+    by_landmark, by_nav : (n, 3, s), (m, NAV)
+        s being the size of a landmark's error.
     """
 
     cov: Array
@@ -70,21 +71,22 @@ class Replay:
 
     def __init__(self, largest: int, options: EkfOptions) -> None:
         generator = np.random.default_rng(0)
-        size = NAV + LANDMARK * largest
+        self._landmark = COORDINATES if options.track_errors == "independent" else LANDMARK
+        size = NAV + self._landmark * largest
         self._invariant = options.error == "invariant"
         self._poses = options.smoothed
         self._random = 0.1 / size * generator.standard_normal((size, size))
         self._positive = np.eye(size) + self._random + self._random.T
         self._transition = self._positive[:NAV, :NAV].copy()
-        self._by_landmark = generator.standard_normal((largest, 3, LANDMARK))
+        self._by_landmark = generator.standard_normal((largest, 3, self._landmark))
 
     def forward(self, sizes: FrameSizes) -> float:
         """Time of a frame's step."""
-        known, d = sizes.known, NAV + LANDMARK * sizes.known
+        known, d = sizes.known, NAV + self._landmark * sizes.known
         transition = self._transition
         all_seen, seen = self._matrices(known, d), self._matrices(sizes.fused, d)
         cov, out, innovation = all_seen.cov, all_seen.out, self._random[0, : 3 * sizes.fused].copy()
-        appended = self._random[: LANDMARK * sizes.new, :NAV].copy()
+        appended = self._random[: self._landmark * sizes.new, :NAV].copy()
         cross, own = np.empty((len(appended), d)), np.empty((len(appended), len(appended)))
         others = self._random[:d, : 2 * _POSE].copy()
 
@@ -111,14 +113,14 @@ class Replay:
 
     def backward(self, sizes: FrameSizes) -> float:
         """Time of the backward pass over a frame."""
-        after = NAV + LANDMARK * (sizes.known + sizes.new)
-        d, gone = NAV + LANDMARK * sizes.known, 3 * (sizes.held - sizes.known)
-        before = NAV + LANDMARK * sizes.held
+        after = NAV + self._landmark * (sizes.known + sizes.new)
+        d, gone = NAV + self._landmark * sizes.known, 3 * (sizes.held - sizes.known)
+        before = NAV + self._landmark * sizes.held
         seen = self._matrices(sizes.fused, d)
         information, out, transition = seen.cov, seen.out, self._transition
         grown = self._square(after)
         vectors, all_vectors = self._random[:d, :_VECTORS].copy(), self._random[:after, :_VECTORS].copy()
-        appended = self._random[: LANDMARK * sizes.new, :NAV].copy()
+        appended = self._random[: self._landmark * sizes.new, :NAV].copy()
         landmarks = self._random[: d - NAV, :_POSE].copy()
         inner, whitened = np.empty(seen.factor.shape), self._random[0, : 3 * sizes.fused].copy()
         tall, short = np.empty((d, 3 * sizes.fused)), np.empty((d, _VECTORS))
@@ -201,17 +203,17 @@ def replay(sizes: Sequence[FrameSizes], options: EkfOptions, *, repeats: int) ->
 
 def _times(jacobian: _Matrices, matrix: Array, out: Array) -> None:
     """``H A``."""
-    n, columns = len(jacobian.by_landmark), matrix.shape[1]
-    blocks = matrix[NAV:].reshape(n, LANDMARK, columns)
+    (n, _, size), columns = jacobian.by_landmark.shape, matrix.shape[1]
+    blocks = matrix[NAV:].reshape(n, size, columns)
     np.matmul(jacobian.by_landmark, blocks, out=out.reshape(n, 3, columns))
     out += jacobian.by_nav @ matrix[:NAV]
 
 
 def _transposed_times(jacobian: _Matrices, matrix: Array, out: Array) -> None:
     """``H^T A``."""
-    n, columns = len(jacobian.by_landmark), matrix.shape[1]
+    (n, _, size), columns = jacobian.by_landmark.shape, matrix.shape[1]
     np.matmul(jacobian.by_nav.T, matrix, out=out[:NAV])
-    blocks = out[NAV : NAV + LANDMARK * n].reshape(n, LANDMARK, columns)
+    blocks = out[NAV : NAV + size * n].reshape(n, size, columns)
     np.matmul(jacobian.by_landmark.transpose(0, 2, 1), matrix.reshape(n, 3, columns), out=blocks)
 
 
