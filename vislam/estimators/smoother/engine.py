@@ -70,8 +70,12 @@ class Engine(Protocol):
         """
         ...
 
+    def relinearise(self) -> None:
+        """Relinearise once what is not resting, nor held by a marginal."""
+        ...
+
     def converge(self) -> None:
-        """Relinearise everything once."""
+        """Relinearise everything once that is not held by a marginal."""
         ...
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
@@ -188,7 +192,7 @@ class WholeGraph(_Read):
     """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
-        self._every = options.relinearize_every
+        self._options = options
         self._anchored = parameters.getFactorization() == "CHOLESKY"
         # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
         self._given = 0
@@ -232,7 +236,7 @@ class WholeGraph(_Read):
                 last.insert2(key, group)
         parameters.constrainedKeys = last
         # By the frame: an engine that was rebuilt goes on where the one before would have.
-        if self._every and (frame + 1) % self._every == 0:
+        if self._options.relinearises(frame):
             parameters.force_relinearize = True
             parameters.noRelinKeys = self._resting
         slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
@@ -258,10 +262,18 @@ class WholeGraph(_Read):
             self._qr = tree_by_qr(self._solver.getFactorsUnsafe(), self._solver.getLinearizationPoint())
         return self._qr
 
+    def relinearise(self) -> None:
+        """Relinearise once what is not resting."""
+        recent = gtsam.ISAM2UpdateParams()
+        recent.force_relinearize = True
+        recent.noRelinKeys = self._resting
+        recent.constrainedKeys = self._last
+        self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), recent)
+
     def converge(self) -> None:
         """Relinearise everything once, unless nothing is to be, and solve it whole."""
         everything = gtsam.ISAM2UpdateParams()
-        everything.force_relinearize = self._every > 0
+        everything.force_relinearize = self._options.relinearize_every > 0
         everything.forceFullSolve = True
         everything.constrainedKeys = self._last
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
@@ -308,13 +320,22 @@ class WholeGraph(_Read):
 
 
 class FixedLag(_Read):
-    """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised."""
+    """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised.
+
+    A marginal is a quadratic at the linearisation point at which its factors were eliminated, and cannot be
+    relinearised. Variables that it ties keep that point as long as they are held, in all their other factors,
+    too: the first-estimates rule, without which the two would have different unobservable directions and the
+    window would gain information along them (Huang, Mourikis and Roumeliotis, IEEE IROS 2011). iSAM2 sees to
+    that (``getFixedVariables``); all others of the window may be relinearised.
+    """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
         parameters.enableRelinearization = options.relinearize_every > 0
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
         self._solver = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
+        # Slots of the factors that were given to it; its marginals are in others.
+        self._given: set[int] = set()
 
     def update(
         self,
@@ -329,23 +350,38 @@ class FixedLag(_Read):
     ) -> list[int]:
         """Take a frame."""
         del newest, in_view, resting
-        if remove:
-            # The slot of a factor that has gone into a marginal is empty.
-            held = self._solver.getFactors()
-            remove = [slot for slot in remove if held.exists(slot)]
+        held = self._solver.getFactors()
+        # The slot of a factor that has gone into a marginal is empty.
+        remove = [slot for slot in remove if held.exists(slot)]
+        self._given.update(range(held.size(), held.size() + graph.size()))
         _solved(self._solver.update, graph, values, dict(stamps), list(remove))
         return list(self._solver.getISAM2Result().getNewFactorsIndices())
 
+    def relinearise(self) -> None:
+        """Relinearise once what no marginal ties."""
+        everything = gtsam.ISAM2UpdateParams()
+        everything.force_relinearize = True
+        everything.forceFullSolve = True
+        # The smoother's own solver, not a copy: by itself the smoother relinearises by its own count alone.
+        solver = self._solver.getISAM2()
+        _solved(solver.update, gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
+
     def converge(self) -> None:
-        """Update without anything new."""
-        _solved(self._solver.update)
+        """Relinearise likewise: all that is held is recent."""
+        self.relinearise()
 
     def _joint_solver(self) -> Any:
         return _solved(gtsam.Marginals, self._solver.getFactors(), self._solver.getLinearizationPoint())
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
-        """All factors, by slot."""
-        return self._solver.getFactors()
+        """All factors, by slot; marginals with where they are linearised, which this solver alone holds."""
+        found = gtsam.NonlinearFactorGraph(self._solver.getFactors())
+        point = self._solver.getLinearizationPoint()
+        for slot in set(range(found.size())) - self._given:
+            if found.exists(slot):
+                marginal: Any = found.at(slot)
+                found.replace(slot, gtsam.LinearContainerFactor(marginal.factor(), point))
+        return found
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables in the window."""

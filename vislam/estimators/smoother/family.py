@@ -16,10 +16,9 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "isam2": {},
     # The textbook's pose graph: with the bias, which is of the order of the drift, assumed known.
     "isam2_between": {"motion": "between"},
-    "isam2_norelin": {"relinearize_every": 0, "final": "as_is"},
-    # What is relinearised beside a marginal, which is not, makes the whole window jump, far from the start by
-    # metres. And what leaves the lag is read for the last time, so it is solved to the end: a change that is
-    # left alone as small would stay.
+    "isam2_norelin": {"relinearize_every": 0, "relinearize_beyond": None, "final": "as_is"},
+    # What leaves the lag is read for the last time, so it is solved to the end: a change that is left alone
+    # as small would stay. It is relinearised where a linearisation is off; what a marginal ties keeps its.
     "fixed_lag": {"lag_s": 3.0, "relinearize_every": 0, "wildfire_threshold": 0.0},
     "batch": {"final": "batch", "final_iterations": 10},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},

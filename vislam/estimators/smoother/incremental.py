@@ -81,6 +81,7 @@ class SmootherEstimator:
             "observations_used_late": 0,
             "final_iterations_undone": 0,
             "steps_relinearised_whole": 0,
+            "steps_relinearised_recent": 0,
         }
 
     def process(self, frame: Frame) -> Step:
@@ -107,7 +108,10 @@ class SmootherEstimator:
         solver.keep_leaving(frame)
         try:
             solver.update(frame, graph, values, owners, now)
-            self._counts["steps_relinearised_whole"] += solver.settle(frame, predicted)
+            newest = [track for track in now if track.views[-1].k == frame.k]
+            settled = solver.settle(frame, predicted, newest)
+            if settled is not None:
+                self._counts[f"steps_relinearised_{settled}"] += 1
         except IndeterminateError as error:
             self._recovery.repeat(frame, error)
         self._recovery.go_on(frame)

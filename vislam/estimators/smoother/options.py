@@ -18,7 +18,10 @@ class SmootherOptions:
     lag_s: Positive | None = None
     """Marginalise what was last observed longer ago than this [s]; null: keep all in the graph."""
     relinearize_every: Annotated[int, Field(ge=0)] = 5
-    """Frames between two relinearisations; 0: none, not after the last frame either."""
+    """Frames between two relinearisations of what was observed last; 0: none, not after the last frame."""
+    relinearize_beyond: Positive | None = 1.0
+    """Relinearise at once where the linearisation of a newest observation neglects more than this many of its
+    standard deviations, or one step corrects much of the trajectory; null: never."""
     window: Annotated[int, Field(ge=1)] = 5
     """Frames after its last observation for which a variable may be relinearised, until the last frame."""
     pose_threshold_rad: Positive = 0.003
@@ -60,6 +63,10 @@ class SmootherOptions:
     """Marginal covariances computed after the last frame: none, of all poses, or of the landmarks as well."""
     max_recoveries: Annotated[int, Field(ge=0)] = 50
     """Solver recoveries after which a run has failed."""
+
+    def relinearises(self, k: int) -> bool:
+        """Whether the update with a frame relinearises in any case."""
+        return self.relinearize_every > 0 and (k + 1) % self.relinearize_every == 0
 
     @property
     def plain(self) -> bool:

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import gtsam
 import numpy as np
@@ -13,6 +14,7 @@ from vislam.estimators.smoother.batch import only
 from vislam.estimators.smoother.engine import Engine, IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
+from vislam.estimators.smoother.linearity import neglected
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
@@ -24,7 +26,10 @@ _TURNED, _MOVED = 0.05, 0.1
 """A solution that turned the newest pose by more [rad], or moved it by more than this share of the median
 depth in view, is beyond what one linearisation is good for."""
 _ITERATIONS = 5
-"""Relinearisations of everything after one step, at most."""
+"""Relinearisations after one step, at most."""
+
+Settled = Literal["whole", "recent"]
+"""What was relinearised after a step: everything, or what was observed last."""
 
 
 class Solver:
@@ -149,6 +154,9 @@ class Solver:
             If GTSAM cannot solve it. Its factors are in the engine all the same.
         """
         remove, self._remove = self._remove, []
+        if self._options.relinearises(frame.k):
+            for track in self.tracks.in_view.values():
+                track.linearised = track.point
         try:
             slots = self.engine.update(
                 graph,
@@ -166,40 +174,65 @@ class Solver:
         _place(owners, slots)
         self._read(frame)
 
-    def settle(self, frame: Frame, before: Array) -> bool:
-        """Relinearise everything while the newest pose moves by more than a linearisation is good for.
+    def settle(self, frame: Frame, before: Array, seen: Sequence[Track]) -> Settled | None:
+        """Relinearise while the estimate is beyond what its linearisation is good for.
 
-        What rests stays where it was linearised, and a solution that is far from there is none. With little
-        in view for some time, or where a landmark is seen again, one step corrects much of the drive.
+        Everything, while the newest pose moves far: what rests stays where it was linearised, and with little
+        in view for some time, or where a landmark is re-observed, one step corrects much of the trajectory.
+        What was observed last, while what the newest observations neglect is not small: a landmark or a pose
+        was first placed too far from where it is now.
 
         Parameters
         ----------
         frame : Frame
             The newest, solved once.
         before : (4, 4)
-            Its pose before that.
+            Its pose before that, at which it is linearised.
+        seen : sequence of Track
+            Landmarks that it observes.
 
         Returns
         -------
-        bool
-            Whether it was necessary.
+        Settled or None
+            What was necessary, if anything was.
 
         Raises
         ------
         IndeterminateError
             If GTSAM cannot solve it.
         """
-        if self._options.lag_s is not None or self._options.relinearize_every == 0:
-            return False
+        beyond = self._options.relinearize_beyond
+        if beyond is None:
+            return None
         limit = np.repeat([_TURNED, _MOVED * self._depth_in_view(frame)], 3)
-        for iteration in range(_ITERATIONS):
-            moved = se3.local(before, self.poses[-1]) / limit
-            if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])) <= 1.0:
-                return iteration > 0
-            before = self.poses[-1]
-            self.engine.converge()
+        found: Settled | None = None
+        for _ in range(_ITERATIONS):
+            pose, points = self.poses[-1], self.engine.points([track.key for track in seen])
+            moved = se3.local(before, pose) / limit
+            if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])) > 1.0:
+                found = "whole"
+                self.engine.converge()
+            elif self._neglects(seen, points, pose, before) > beyond:
+                found = found or "recent"
+                self.engine.relinearise()
+            else:
+                break
+            before = pose
+            for track, point in zip(seen, points, strict=True):
+                track.linearised = point
             self._read(frame)
-        return True
+        return found
+
+    def _neglects(self, seen: Sequence[Track], points: Array, pose: Array, linearised: Array) -> float:
+        """Most that the linearisation of a newest observation neglects, in standard deviations.
+
+        Nothing where a landmark has become degenerate: its factors are taken out with the next update, and
+        what they did to the rest goes with them, unless that is relinearised there.
+        """
+        if not self._plausible(points, pose).all():
+            return 0.0
+        found = neglected(self._rig, seen, points=points, pose=pose, linearised=linearised)
+        return float(found.max(initial=0.0))
 
     def _depth_in_view(self, frame: Frame) -> float:
         """Median depth of what a frame sees [m]; infinite if it sees nothing."""

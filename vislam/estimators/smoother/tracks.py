@@ -41,6 +41,8 @@ class Track:
         Where its factors are in the solver.
     point : (3,)
         Its landmark as estimated when it was last in view [m].
+    linearised : (3,)
+        Where that was linearised last, to within the threshold of relinearisation [m].
     """
 
     id: int
@@ -48,6 +50,7 @@ class Track:
     key: int = 0
     slots: list[int] = field(default_factory=list)
     point: Array = field(default_factory=lambda: np.zeros(3))
+    linearised: Array = field(default_factory=lambda: np.zeros(3))
 
 
 class Tracks:
@@ -184,7 +187,7 @@ class Tracks:
             track = self.waiting.pop(candidates[index].id)
             track.key = landmark(self._started, float(found.depth[index]))
             self._started += 1
-            track.point = found.points_world[index]
+            track.point = track.linearised = found.points_world[index]
             self.in_view[track.id] = track
             started.append(track)
         return started
