@@ -270,8 +270,8 @@ def test_proper_scores_are_least_for_the_claim_that_is_true(rng):
 def test_points_are_compared_with_the_nearest_up_to_a_share_of_their_depth(rng):
     other = rng.uniform(-50, 50, (400, 3)) + np.array([0, 0, 100.0])
     points = np.concatenate([other[:300] + rng.normal(0, 0.05, (300, 3)), rng.uniform(900, 999, (100, 3))])
-    found = cloud_errors(points, other, np.zeros((1, 3)))
+    found = cloud_errors(points, other, np.zeros((1, 3)), baseline=0.5)
     assert 0.74 < found.within < 0.78
     assert 0.74 < found.complete < 0.9
     assert 0.03 < np.median(found.near) < 0.12
-    assert cloud_errors(points, np.empty((0, 3)), np.zeros((1, 3))) is None
+    assert cloud_errors(points, np.empty((0, 3)), np.zeros((1, 3)), baseline=0.5) is None

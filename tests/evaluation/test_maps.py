@@ -71,7 +71,7 @@ def test_the_share_found_counts_what_is_near_for_its_depth(rng):
     run = made_run("one", circle(10), track=np.arange(91) * 2, points_world=(true + off)[:91])
     run = altered(run, track=np.where(run.landmarks.track == 180, 181, run.landmarks.track))
     reference = truth_reference(circle(10), np.arange(100) * 2, true)
-    near = map_errors(run, reference, alignment=np.eye(4), depth=np.full(100, 5.0))
+    near = map_errors(run, reference, alignment=np.eye(4), depth=np.full(100, 10.0))
     assert len(near.track) == 90
     assert np.allclose(near.distance, off[:90, 0])
     assert near.estimated == 0.9

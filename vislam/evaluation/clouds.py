@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vislam.base.types import Array
-from vislam.evaluation.maps import NEAR_OF_DEPTH, Bin, binned
+from vislam.evaluation.maps import DEPTHS, NEAR_OF_DEPTH, Bin, binned
 
 
 @dataclass(frozen=True)
@@ -23,25 +23,28 @@ class CloudErrors:
         Share of the points of the map that have one of the other within the cut: accuracy.
     complete : float
         Share of the points of the other that have one of the map within the cut: completeness.
+    baseline : float
+        Of the rig [m].
     """
 
     distance: Array
     depth: Array
     within: float
     complete: float
+    baseline: float
 
     @property
     def near(self) -> Array:
         """Distances of those within the cut [m]."""
         return self.distance[self.distance <= NEAR_OF_DEPTH * self.depth]
 
-    def by_depth(self, edges: Array) -> list[Bin]:
-        """How far the maps are apart, by depth [m]."""
+    def by_depth(self) -> list[Bin]:
+        """How far the maps are apart, by depth [baselines]."""
         unknown = np.full(len(self.distance), np.nan)
-        return binned(self.distance, unknown, by=self.depth, edges=edges)
+        return binned(self.distance, unknown, by=self.depth / self.baseline, edges=DEPTHS)
 
 
-def cloud_errors(points: Array, other: Array, positions: Array) -> CloudErrors | None:
+def cloud_errors(points: Array, other: Array, positions: Array, *, baseline: float) -> CloudErrors | None:
     """Compare points ``(n, 3)`` with others ``(m, 3)`` in the same world [m]; None if there are none.
 
     The cut is ``NEAR_OF_DEPTH`` times the depth, which is the distance from the nearest of some positions
@@ -57,4 +60,5 @@ def cloud_errors(points: Array, other: Array, positions: Array) -> CloudErrors |
         np.asarray(depth),
         float(np.mean(distance <= NEAR_OF_DEPTH * depth)),
         float(np.mean(back <= NEAR_OF_DEPTH * others_depth)),
+        baseline,
     )

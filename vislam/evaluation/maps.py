@@ -12,10 +12,11 @@ from vislam.core.run import Run
 from vislam.evaluation.normalised import Normalised, usable, whiten
 from vislam.geometry import se3
 
-NEAR = 0.5
-"""A landmark within this distance of the true one counts as found [m] ..."""
 NEAR_OF_DEPTH = 0.05
-"""... and so does one within this share of its depth: the error of stereo grows with depth."""
+"""A landmark within this share of its depth of the true one counts as found: the error of stereo grows with
+depth, and no one length suits a car and a hand-held rig."""
+DEPTHS = np.array([0.0, 16.0, 32.0, 64.0, 128.0, np.inf])
+"""Bounds of the depths by which maps are compared [baselines]: a disparity is the focal length over them."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,8 @@ class MapErrors:
     distance : (k,)
         Error of each [m].
     estimated, found : float
-        Share of the true landmarks that were estimated at all, and that were estimated within ``NEAR`` or
-        ``NEAR_OF_DEPTH`` of their depth, whichever is more.
+        Share of the true landmarks that were estimated at all, and that were estimated within
+        ``NEAR_OF_DEPTH`` of their depth.
     normalised : Normalised or None
         Errors and claims, landmark after landmark by track; None where the run gives no covariances.
     """
@@ -105,7 +106,7 @@ def map_errors(run: Run, reference: Reference, *, alignment: Array, depth: Array
         return None
     error = reference.points_world[true] - se3.transform(alignment, found.points_world[mine])
     distance = np.linalg.norm(error, axis=1)
-    near = distance <= np.maximum(NEAR, NEAR_OF_DEPTH * depth[true])
+    near = distance <= NEAR_OF_DEPTH * depth[true]
     total = len(reference.track)
     cov = None if found.points_cov is None else _turned(found.points_cov[mine], alignment)
     return MapErrors(

@@ -15,7 +15,7 @@ from vislam.evaluation.maps import MapDifference
 from vislam.evaluation.metric import LAG_METRICS, at_lag
 from vislam.evaluation.normalised import MULTIPLES, Normalised
 from vislam.evaluation.proper_scores import energy_score, log_score
-from vislam.evaluation.scores import DEPTHS, EstimatePair, EstimateScores, PairScores, RunScores
+from vislam.evaluation.scores import EstimatePair, EstimateScores, PairScores, RunScores
 from vislam.evaluation.smoothing import TOLERANCE, SmoothingDifference
 from vislam.evaluation.statistics import Statistic
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores, headline_alignment
@@ -195,7 +195,7 @@ def _map(scores: EstimateScores) -> Iterator[tuple[str, float, str, str]]:
     if scores.map is not None:
         told = "of the true landmarks of the tracks that were given"
         yield "map_completeness", scores.map.estimated, "1", told
-        yield "map_found", scores.map.found, "1", f"{told}, within 0.5 m or 5 % of the depth"
+        yield "map_found", scores.map.found, "1", f"{told}, within 5 % of the depth"
 
 
 def _claim(claim: Normalised, statistic: Statistic) -> Iterator[tuple[str, float, str, str]]:
@@ -270,9 +270,9 @@ def _cloud(found: CloudErrors) -> Iterator[tuple[str, float, str]]:
         yield "map_error_nearest_rmse", float(np.sqrt(np.mean(found.near**2))), "m"
     yield "map_points_within", 100.0 * found.within, "%"
     yield "map_points_complete", 100.0 * found.complete, "%"
-    for row in found.by_depth(DEPTHS):
+    for row in found.by_depth():
         if row.count:
-            yield f"map_error_nearest_median_from_{row.low:g}m", row.distance, "m"
+            yield f"map_error_nearest_median_from_{row.low:g}_baselines", row.distance, "m"
 
 
 def _innovations(scores: RunScores) -> Iterator[tuple[str, float, str]]:

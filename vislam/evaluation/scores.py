@@ -30,8 +30,6 @@ from vislam.evaluation.statistics import Statistic, Whiteness
 from vislam.evaluation.trajectory_scores import TrajectoryScores, score_trajectory
 from vislam.geometry import se3
 
-DEPTHS = np.array([0.0, 10.0, 20.0, 40.0, 80.0, np.inf])
-"""Bounds of the depths by which maps are compared [m]."""
 VIEWS = np.array([1.0, 3.0, 6.0, 12.0, 24.0, np.inf])
 """Bounds of the numbers of views."""
 _FEWEST_COMMON = 3
@@ -170,6 +168,8 @@ class PairScores:
         The same two estimates by the sum of their covariances.
     depth, views : (k,)
         Depth [m] of each landmark of ``map`` from the pose that saw it first, and the number of its views.
+    baseline : float
+        Of the rig [m].
     cloud : CloudErrors or None
         Of their maps as points, where one is from elsewhere.
     """
@@ -178,13 +178,14 @@ class PairScores:
     map: MapDifference | None
     depth: Array
     views: IntArray
+    baseline: float
     smoothing: SmoothingDifference | None = None
     by_sum: Agreement | None = None
     cloud: CloudErrors | None = None
 
     def by_depth(self) -> list[Bin]:
-        """How far the maps are apart, by the depth of the landmarks [m]."""
-        return self._binned(self.depth, DEPTHS)
+        """How far the maps are apart, by the depth of the landmarks [baselines]."""
+        return self._binned(self.depth / self.baseline, maps.DEPTHS)
 
     def by_views(self) -> list[Bin]:
         """The same by the number of views."""
@@ -225,23 +226,24 @@ def score_run(run: Run, record: Record, own: OwnClock | None = None) -> RunScore
         lags=score_lags(run, record),
         smoothing=None if run.smoothed is None else smoothing_difference(run, run),
         own=own,
-        cloud=_cloud(own, record.reference, estimates[run.estimates[-1]].trajectory),
+        cloud=_cloud(own, record, estimates[run.estimates[-1]].trajectory),
     )
 
 
-def _cloud(
-    own: OwnClock | None, reference: Reference | None, scored: TrajectoryScores | None
-) -> CloudErrors | None:
+def _cloud(own: OwnClock | None, record: Record, scored: TrajectoryScores | None) -> CloudErrors | None:
     """Points of a map from elsewhere against the true ones, laid on them by the trajectory."""
+    reference = record.reference
     if own is None or own.points is None or reference is None or scored is None:
         return None
     if reference.planar or not len(reference.points_world):
         return None
     laid = scored.alignments["se3"]
-    return cloud_errors(laid.transform_points(own.points), reference.points_world, reference.position)
+    points = laid.transform_points(own.points)
+    true, positions = reference.points_world, reference.position
+    return cloud_errors(points, true, positions, baseline=record.rig.baseline)
 
 
-def _pair_cloud(one: RunScores, other: RunScores) -> CloudErrors | None:
+def _pair_cloud(one: RunScores, other: RunScores, baseline: float) -> CloudErrors | None:
     """Points of two maps, of which one at least is from elsewhere."""
     maps_of = [
         run.run.landmarks.points_world if run.own is None or run.own.points is None else run.own.points
@@ -254,7 +256,7 @@ def _pair_cloud(one: RunScores, other: RunScores) -> CloudErrors | None:
         return None
     positions = one.run.final.world_T_imu[first, :3, 3]
     rotation, translation = align(other.run.final.world_T_imu[second, :3, 3], positions)
-    return cloud_errors(maps_of[0], maps_of[1] @ rotation.T + translation, positions)
+    return cloud_errors(maps_of[0], maps_of[1] @ rotation.T + translation, positions, baseline=baseline)
 
 
 def _score_estimate(run: Run, estimate: Estimate, record: Record, own: OwnClock | None) -> EstimateScores:
@@ -354,8 +356,9 @@ def score_pair(one: RunScores, other: RunScores, record: Record, *, equal: bool 
         map=apart,
         depth=depth,
         views=views,
+        baseline=record.rig.baseline,
         **(_smoothing(one.run, other.run) if equal else {}),
-        cloud=_pair_cloud(one, other),
+        cloud=_pair_cloud(one, other, record.rig.baseline),
     )
 
 

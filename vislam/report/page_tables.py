@@ -177,7 +177,7 @@ def maps_table(evaluation: Evaluation) -> Table:
     header += ["median Mahalanobis distance", "beyond 95 %"]
     rows = []
     for (one, other), scores in evaluation.pairs.items():
-        for by, bins in (("depth [m]", scores.by_depth()), ("views", scores.by_views())):
+        for by, bins in (("depth [baselines]", scores.by_depth()), ("views", scores.by_views())):
             for row in bins:
                 if row.count:
                     ends = [f"{row.low:g}", "" if np.isinf(row.high) else f"{row.high:g}"]

@@ -13,6 +13,8 @@ from vislam.estimators.smoother.options import SmootherOptions
 
 _POSE_SHARE = 0.05
 """A pose that moved by more than this share of the baseline is relinearised, unless the options say it."""
+_WILDFIRE_SHARE = 1.7
+"""A change of an old variable below this many baselines is left for the end, unless the options say it."""
 _ANCHOR_SIGMA = np.repeat([0.01, 0.1], 3)
 """How far an anchor may be from its pose [rad, m]."""
 
@@ -412,7 +414,9 @@ def _parameters(
 ) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization(factorization.upper())
-    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(options.wildfire_threshold))
+    least = options.wildfire_threshold
+    least = _WILDFIRE_SHARE * baseline if least is None else least
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(least))
     moved = _pose_threshold(options, baseline)
     pose = np.repeat([options.pose_threshold_rad, moved], 3)
     table = thresholds(pose=pose, depth_share=options.landmark_threshold, own=own)

@@ -30,8 +30,9 @@ class SmootherOptions:
     """Relinearise a pose that moved by more than this [m]; null: by a twentieth of the baseline."""
     landmark_threshold: Positive = 0.005
     """Relinearise a landmark that moved by more than this share of its depth."""
-    wildfire_threshold: NonNegative = 1.0
-    """Old variables whose solution changes by less than this are not updated until the end [rad, m]."""
+    wildfire_threshold: NonNegative | None = None
+    """Old variables whose solution changes by less than this are not updated until the end [rad, m]; null: by
+    1.7 times the baseline."""
     factorization: Literal["qr", "cholesky", "auto"] = "auto"
     """How cliques are eliminated. GTSAM's Cholesky takes a half to an eighth of the time, and fails for a
     clique with a pivot below 1e-7 of its diagonal; ``auto`` is Cholesky, and solves a step for which it
