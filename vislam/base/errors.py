@@ -39,6 +39,10 @@ class DivergedError(RuntimeError):
     """An estimator that lost its covariance or its solution; the message names the frame."""
 
 
+class LostError(RuntimeError):
+    """Work whose process was lost whenever it ran; the message says so."""
+
+
 class ContractError(ValueError):
     """What an estimator returned is not what the interface asks for; the message names the field."""
 

@@ -52,6 +52,14 @@ def _parser() -> Parser:
     add("--out", type=Path, default=Path("results"), help="folder of the results (default: results)")
     add("--estimators", help="comma-separated names, in place of the config's")
     add_check_options(parser)
+    add(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="estimators that run at the same time, each in a process of its own, with the same results but "
+        "for time and memory, which the report marks (default: 1, so that each has the machine for itself)",
+    )
     add("--fresh", action="store_true", help="run again what an earlier start of the same has finished")
     add(
         "--robustness",
@@ -97,6 +105,10 @@ def _compare(options: argparse.Namespace) -> int:
     from vislam.comparison.considering import wanted  # noqa: PLC0415
     from vislam.comparison.results import conclude  # noqa: PLC0415
 
+    if options.jobs < 1:
+        raise ConfigError(
+            f"--jobs is the number of estimators that run at the same time, 1 or more; got {options.jobs}"
+        )
     if options.workers is not None and (options.workers < 1 or not (options.robustness or wanted(config))):
         raise ConfigError(
             "--workers is the number of processes of --robustness, and of the config's consider and "
@@ -114,6 +126,7 @@ def _compare(options: argparse.Namespace) -> int:
         report=not options.no_report,
         fresh=options.fresh,
         processes=options.workers or len(os.sched_getaffinity(0)),
+        at_a_time=options.jobs,
     )
     if options.robustness and not outcome.results.interrupted:
         outcome = _robust(outcome, options)

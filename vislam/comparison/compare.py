@@ -10,7 +10,7 @@ import numpy as np
 from vislam.base.errors import ConfigError, DataError, DivergedError, Interrupted
 from vislam.base.files import check_writable, folder_name
 from vislam.base.progress import Progress
-from vislam.base.types import Array
+from vislam.base.types import Array, BoolArray
 from vislam.checks.judge import read_checklist
 from vislam.comparison import config as configuration
 from vislam.comparison.bounding import drive_bound, refuse_unbounded
@@ -18,6 +18,7 @@ from vislam.comparison.config import LIST_MAKER, Config
 from vislam.comparison.considering import Given, considered, refuse_doubled, wanted
 from vislam.comparison.identity import code_digest, combine, inputs_digest
 from vislam.comparison.inertia import inertia, started
+from vislam.comparison.job import Job
 from vislam.comparison.keeping import FolderKeeper, Keeper, NoKeeper
 from vislam.comparison.members import Member, Unbuilt, list_makers, members
 from vislam.comparison.open import Dataset, open_dataset, require_usable
@@ -70,6 +71,7 @@ def compare(
     report: bool = True,
     fresh: bool = False,
     processes: int = 1,
+    at_a_time: int = 1,
 ) -> Outcome:
     """Run a comparison and write ``out/<id>/``.
 
@@ -77,7 +79,8 @@ def compare(
     is written when it has ended; a later start runs those that are missing or incomplete, or all if it is to
     start ``fresh``. The checks of the config are judged; ``against`` names saved results for them, which no
     error may exceed by more than the share ``tolerance`` if they say nothing else of them. ``report`` says
-    whether a page is wanted. ``processes`` share the further runs of ``consider`` and ``sandwich``.
+    whether a page is wanted. ``processes`` share the further runs of ``consider`` and ``sandwich``;
+    ``at_a_time`` estimators run at the same time, each in a process of its own.
 
     Raises
     ------
@@ -108,7 +111,7 @@ def compare(
     if not fresh:
         prepared = replace(prepared, record=earlier_provenance(prepared.record, folder))
     Results(config, prepared.record, {}).begin(folder)
-    results = replace(prepared.run(processes), spread=read_spread(folder))
+    results = replace(prepared.run(processes, at_a_time=at_a_time), spread=read_spread(folder))
     for line in told_of_rerun(keeper.found, tuple(results.runs), again=again):
         progress.note(line)
     published = publish(results, folder, checklist, report=report)
@@ -182,22 +185,37 @@ class Prepared:
     estimators: Mapping[str, Estimator | Unbuilt]
     problem: Problem
 
-    def run(self, processes: int = 1) -> Results:
+    def run(self, processes: int = 1, *, at_a_time: int = 1) -> Results:
         """Run the estimators; one that fails is marked, and the others run all the same.
 
-        ``processes`` share what is run for covariances beside the estimators' own.
+        ``processes`` share what is run for covariances beside the estimators' own, and ``at_a_time``
+        estimators run at the same time.
         """
         runs, interrupted = self.runner.run_all(
-            self.estimators, common_set=self.record.common_set, gates_from=self.config.gates_from
+            self.estimators,
+            common_set=self.record.common_set,
+            gates_from=self.config.gates_from,
+            job=self._job,
+            at_a_time=at_a_time,
         )
         if wanted(self.config) and not interrupted:
             interrupted = self._consider(runs, processes)
         return Results(self.config, self.record, runs, interrupted)
 
+    def _job(self, name: str, usable: BoolArray) -> Job:
+        common_set, runner = self.record.common_set, self.runner
+        bound = common_set is not None and name not in common_set.exempt
+        problem = gateless(self.problem) if bound else self.problem
+        section, threads = self.config.estimators[name], self.config.blas_threads
+        return Job(name, section, problem, runner.sequence, runner.sigma, usable, threads)
+
     def _consider(self, runs: dict[str, Run], processes: int) -> bool:
         """Replace runs by those with covariances beside their own, and say whether it was interrupted."""
         runner, common_set, by = self.runner, self.record.common_set, self.config.gates_from
-        usable = {name: runner.given(name, runs, common_set=common_set, gates_from=by) for name in runs}
+        usable = {
+            name: runner.given(name, runs, names=tuple(runs), common_set=common_set, gates_from=by)
+            for name in runs
+        }
         given = Given(self.config, self.problem, runner.sequence, runner.sigma)
         found = considered(runs, given, usable=usable, processes=processes, progress=runner.progress)
         try:
@@ -308,9 +326,14 @@ def build_estimators(
         problem = make_problem(config, dataset)
         # Who is given all observations does as it is told.
         if listed and not member.takes_all:
-            problem = replace(problem, gate_probability=1.0)
+            problem = gateless(problem)
         built[name] = member.build(problem)
     return built
+
+
+def gateless(problem: Problem) -> Problem:
+    """Return the problem of an estimator that is given the common observation set, and gates nothing."""
+    return replace(problem, gate_probability=1.0)
 
 
 def _parted(config: Config, dataset: Dataset) -> tuple[Dataset, Tracks]:

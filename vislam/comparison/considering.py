@@ -19,7 +19,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -28,14 +27,13 @@ from vislam.base.progress import Progress
 from vislam.base.types import Array, BoolArray
 from vislam.base.workers import Workers
 from vislam.comparison.config import Config
-from vislam.comparison.members import Unbuilt, member
+from vislam.comparison.job import Job
 from vislam.core import sequence as data
 from vislam.core.changes import Changes, changes
 from vislam.core.estimator import Problem
 from vislam.core.moved_data import component_name, moved
 from vislam.core.run import Beside, Run
 from vislam.core.trajectory import Poses
-from vislam.estimators import loop
 from vislam.models import shared_errors
 
 _STEP = 0.2
@@ -70,18 +68,6 @@ class _Variation:
     sequence: data.Sequence
     sigma: Array
     factor: float
-
-
-@dataclass(frozen=True)
-class _Job:
-    """A run that is to be repeated with a variation, such that another process can do it."""
-
-    name: str
-    section: Mapping[str, Any]
-    problem: Problem
-    usable: BoolArray
-    variation: _Variation
-    blas_threads: int
 
 
 @dataclass(frozen=True)
@@ -174,35 +160,25 @@ def _has_all(run: Run, variations: Sequence[_Variation]) -> bool:
     return set(run.beside) == {variation.kind for variation in variations}
 
 
-def _job(run: Run, given: Given, usable: BoolArray, variation: _Variation) -> _Job:
+def _job(run: Run, given: Given, usable: BoolArray, variation: _Variation) -> Job:
     config = given.config
     # What a run itself rejected stays out, and it rejects nothing more: the rest would be another problem.
     problem = replace(given.problem, rig=variation.sequence.rig.copy(), gate_probability=1.0, lags=None)
-    return _Job(
+    return Job(
         run.name,
         config.estimators[run.name],
         problem,
+        variation.sequence,
+        variation.sigma,
         usable & ~run.gated,
-        variation,
         config.blas_threads,
     )
 
 
-def _answer(job: _Job) -> _Answer:
-    """Do a job; whatever fails is told."""
+def _answer(job: Job) -> _Answer:
+    """Do a job; whatever fails is reported."""
     started = time.perf_counter()
-    solver, sequence = member(job.name, job.section).build(job.problem), job.variation.sequence
-    if isinstance(solver, Unbuilt):
-        run = loop.not_run(job.name, sequence, solver.failure)
-    else:
-        run = loop.run(
-            solver,
-            sequence,
-            job.variation.sigma,
-            name=job.name,
-            usable=job.usable,
-            blas_threads=job.blas_threads,
-        )
+    run = job.run()
     return _Answer(run.filtered, run.smoothed, run.log.error, time.perf_counter() - started)
 
 

@@ -21,6 +21,10 @@ class Keeper(Protocol):
         """Complete run of that identity from an earlier start, or None."""
         ...
 
+    def has(self, name: str, *, identity: str) -> bool:
+        """Whether :meth:`find` would find one."""
+        ...
+
     def keep(self, run: Run, *, preparatory: bool = False) -> None:
         """Keep a run, complete or not."""
         ...
@@ -32,6 +36,10 @@ class NoKeeper:
     def find(self, name: str, *, identity: str, preparatory: bool = False) -> Run | None:
         """Find nothing."""
         return None
+
+    def has(self, name: str, *, identity: str) -> bool:
+        """Find nothing."""
+        return False
 
     def keep(self, run: Run, *, preparatory: bool = False) -> None:
         """Do nothing."""
@@ -56,19 +64,14 @@ class FolderKeeper:
 
     def find(self, name: str, *, identity: str, preparatory: bool = False) -> Run | None:
         """Complete run of that identity from an earlier start, or None."""
-        path = self._path(name, preparatory=preparatory)
-        if self.fresh or not path.is_file():
-            return None
-        try:
-            run = Run.load(path)
-        except DataError as error:
-            _log.info("%s", error)
-            return None
-        if not run.complete or run.name != name or run.identity != identity:
-            return None
-        if not preparatory:
+        run = self._load(name, identity, preparatory=preparatory)
+        if run is not None and not preparatory:
             self.found.append(name)
         return run
+
+    def has(self, name: str, *, identity: str) -> bool:
+        """Whether :meth:`find` would find one."""
+        return self._load(name, identity, preparatory=False) is not None
 
     def keep(self, run: Run, *, preparatory: bool = False) -> None:
         """Write a run, each file whole or not at all."""
@@ -85,6 +88,17 @@ class FolderKeeper:
         for part in (RUNS, _LIST) if self.fresh else ():
             for path in (self.folder / part).glob("*.npz"):
                 path.unlink()
+
+    def _load(self, name: str, identity: str, *, preparatory: bool) -> Run | None:
+        path = self._path(name, preparatory=preparatory)
+        if self.fresh or not path.is_file():
+            return None
+        try:
+            run = Run.load(path)
+        except DataError as error:
+            _log.info("%s", error)
+            return None
+        return run if run.complete and run.name == name and run.identity == identity else None
 
     def _path(self, name: str, *, preparatory: bool) -> Path:
         return self.folder / (_LIST if preparatory else RUNS) / f"{name}.npz"

@@ -33,6 +33,7 @@ from vislam.report.svg import plain_svg, save_png, save_svg
 from vislam.report.table import MARKS, SHORT, comparison_tables
 from vislam.report.top_view import top_view
 from vislam.report.verdict import verdict as verdict_of
+from vislam.report.words import named
 
 _log = logging.getLogger("vislam")
 SCHEMA_VERSION = 2
@@ -91,6 +92,17 @@ class Results:
     def common_set_line(self) -> str:
         """Description of the common observation set; empty without one."""
         return "" if self.record.common_set is None else self.record.common_set.tell(self._own())
+
+    def timed_line(self) -> str:
+        """Which runs' times and memory are not those of a run that had the machine for itself; else empty."""
+        beside = {name: run.cost.beside for name, run in self.runs.items() if run.cost.beside}
+        if not beside:
+            return ""
+        others = max(beside.values())
+        return (
+            f"times and memory of {named(list(beside))} are of processes beside up to {others} other"
+            f"{'s' if others > 1 else ''}; --jobs 1 --fresh measures each alone"
+        )
 
     def shared_information(self) -> list[SharedInformation]:
         """What each pair of the comparison's own runs had in common."""
@@ -213,7 +225,7 @@ def _write_report(
             common_set=results.common_set_line(),
             unequal=unequal_line(results.shared_information()),
             spread=results.spread,
-            noticed=noticed_lines(results.own),
+            noticed=[*noticed_lines(results.own), *filter(None, [results.timed_line()])],
         ),
     )
 
@@ -252,6 +264,7 @@ def metrics_document(
                 "counts": run.log.counts,
                 "listed_not_fused": not_fused.get(name),
                 "events": list(run.log.events),
+                "run_beside": run.cost.beside,
             }
             for name, run in results.runs.items()
         },
@@ -289,8 +302,8 @@ def announce(results: Results, published: Published, progress: Progress) -> None
         progress.note(sentence)
     if told := results.common_set_line():
         progress.note(told)
-    if unequal:
-        progress.note(unequal)
+    for line in filter(None, [unequal, results.timed_line()]):
+        progress.note(line)
     for line in (*read_lines(results.own), *noticed_lines(results.own)):
         progress.note(line)
     progress.note(f"{published.path.stem}: {published.path}")

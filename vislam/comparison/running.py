@@ -1,7 +1,8 @@
 """The order in which the estimators of a comparison run, what each of them may fuse, and what is kept."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as Several
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
@@ -10,8 +11,10 @@ import numpy as np
 from vislam.base.errors import ConfigError, DivergedError, Interrupted
 from vislam.base.progress import Progress
 from vislam.base.types import Array, BoolArray
+from vislam.comparison.job import Job
 from vislam.comparison.keeping import Keeper
 from vislam.comparison.members import Unbuilt
+from vislam.comparison.side_by_side import SideBySide
 from vislam.core.estimator import Estimator
 from vislam.core.observation_set import CommonSet
 from vislam.core.run import Run
@@ -89,24 +92,52 @@ class Runner:
         *,
         common_set: CommonSet | None,
         gates_from: str | None,
+        job: Callable[[str, BoolArray], Job],
+        at_a_time: int = 1,
     ) -> tuple[dict[str, Run], bool]:
-        """Run the estimators one after the other, and whether it was interrupted.
+        """Run the estimators, and whether it was interrupted.
 
         With a common observation set, only what is on it is usable for all that it binds. Without one, what
-        ``gates_from`` gates is not usable for all that follow.
+        ``gates_from`` gates is not usable for all that follow, which wait for it.
 
         Each run is kept as soon as it has ended, whatever becomes of those after it. One that was interrupted
         keeps the frames that it had done; those that were not reached have none.
+
+        Parameters
+        ----------
+        estimators : mapping of str to Estimator or Unbuilt
+            By the name of their run, in order.
+        common_set : CommonSet or None
+        gates_from : str or None
+        job : callable
+            What a process of its own needs for the run of a name that is given some observations ``(n,)``.
+        at_a_time : int
+            Runs at the same time, each in a process of its own; 1: one after the other, in this process.
         """
         runs: dict[str, Run] = {}
         kept: set[str] = set()
-        interrupted = False
+        names, interrupted = tuple(estimators), False
+
+        def keep(run: Run) -> None:
+            runs[run.name] = run
+            self.keeper.keep(run)
+            kept.add(run.name)
+
         try:
-            for name, solver in estimators.items():
-                usable = self.given(name, runs, common_set=common_set, gates_from=gates_from)
-                runs[name] = self._found(solver, name, usable)
-                self.keeper.keep(runs[name])
-                kept.add(name)
+            for group in _groups(names, None if common_set is not None else gates_from):
+                given = {
+                    name: self.given(name, runs, names=names, common_set=common_set, gates_from=gates_from)
+                    for name in group
+                }
+                away = self._away(given, estimators) if at_a_time > 1 else []
+                if away:
+                    with SideBySide(
+                        [job(name, given[name]) for name in away], at_a_time, self.progress
+                    ) as some:
+                        self._follow(some, given, keep=keep, unfinished=runs)
+                for name in group:
+                    if name not in away:
+                        keep(self._found(estimators[name], name, given[name]))
         except loop.RunInterrupted as stop:
             runs[stop.run.name], interrupted = stop.run, True
         except Interrupted:
@@ -115,27 +146,60 @@ class Runner:
             self.keeper.keep(runs[name])
         reason = Interrupted()
         return {
-            name: runs[name] if name in runs else loop.not_run(name, self.sequence, reason)
-            for name in estimators
+            name: runs[name] if name in runs else loop.not_run(name, self.sequence, reason) for name in names
         }, interrupted
 
     def given(
-        self, name: str, runs: Mapping[str, Run], *, common_set: CommonSet | None, gates_from: str | None
+        self,
+        name: str,
+        runs: Mapping[str, Run],
+        *,
+        names: Several[str],
+        common_set: CommonSet | None,
+        gates_from: str | None,
     ) -> BoolArray:
-        """Which observations ``(n,)`` a run is given, where ``runs`` has those before it, in their order."""
+        """Which observations ``(n,)`` a run is given, where ``names`` is the order of all runs."""
         if common_set is not None and name not in common_set.exempt:
             return common_set.kept
-        before = list(takewhile(lambda other: other != name, runs))
+        before = takewhile(lambda other: other != name, names)
         if common_set is None and gates_from is not None and gates_from in before:
             return ~runs[gates_from].gated
         return np.ones(self.sequence.observations, bool)
+
+    def _away(
+        self, given: Mapping[str, BoolArray], estimators: Mapping[str, Estimator | Unbuilt]
+    ) -> list[str]:
+        """Runs to be done in processes of their own; a single one has the machine for itself in this one."""
+        away = [
+            name
+            for name, usable in given.items()
+            if not isinstance(estimators[name], Unbuilt)
+            and not self.keeper.has(name, identity=self._identity(name, usable))
+        ]
+        return away if len(away) > 1 else []
+
+    def _follow(
+        self,
+        several: SideBySide,
+        given: Mapping[str, BoolArray],
+        *,
+        keep: Callable[[Run], None],
+        unfinished: dict[str, Run],
+    ) -> None:
+        """Keep runs as they end; of those that ran when it was interrupted, what they had done."""
+        try:
+            for run in several.finished():
+                keep(replace(run, identity=self._identity(run.name, given[run.name])))
+        except Interrupted:
+            for run in several.stopped():
+                unfinished.setdefault(run.name, run)
+            raise
 
     def _found(
         self, solver: Estimator | Unbuilt, name: str, usable: BoolArray, *, preparatory: bool = False
     ) -> Run:
         """Run of an earlier start, or of this one."""
-        text = f"{self.identity}|{name}|".encode() + np.packbits(usable).tobytes()
-        identity = hashlib.sha256(text).hexdigest()[:_IDENTITY_DIGITS]
+        identity = self._identity(name, usable)
         kept = self.keeper.find(name, identity=identity, preparatory=preparatory)
         if kept is not None:
             return kept
@@ -153,3 +217,15 @@ class Runner:
                 blas_threads=self.blas_threads,
             )
         return replace(found, identity=identity)
+
+    def _identity(self, name: str, usable: BoolArray) -> str:
+        text = f"{self.identity}|{name}|".encode() + np.packbits(usable).tobytes()
+        return hashlib.sha256(text).hexdigest()[:_IDENTITY_DIGITS]
+
+
+def _groups(names: Several[str], first: str | None) -> list[Several[str]]:
+    """Runs that do not wait for each other: all, or those up to the one that decides for the rest."""
+    if first is None:
+        return [names]
+    cut = names.index(first) + 1
+    return [names[:cut], names[cut:]]

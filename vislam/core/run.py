@@ -63,6 +63,7 @@ _TABLE: Table = {
     "cost.step_time": real("T", NOT_NEGATIVE),
     "cost.total_time": Plain(Level),
     "cost.peak_rss": Plain(Count),
+    "cost.beside": Plain(Count, later=True),
     "used": mask("n"),
     "gated": mask("n"),
     "map": Section(optional=True),
@@ -152,11 +153,14 @@ class Cost:
         Time of all steps and of the final estimate [s].
     peak_rss : int
         Largest resident memory while it ran [bytes].
+    beside : int
+        Runs that the same comparison may have had going at the same time, in processes of their own.
     """
 
     step_time: Array = field(default_factory=lambda: np.empty(0))
     total_time: float = 0.0
     peak_rss: int = 0
+    beside: int = 0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vislam.base.errors import ContractError, Interrupted, first_line
+from vislam.base.errors import ContractError, Interrupted, LostError, first_line
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimator
@@ -96,8 +96,9 @@ def run(
 
 
 def not_run(name: str, sequence: Sequence, failure: BaseException) -> Run:
-    """Run of an estimator that could not be built, or was not reached."""
-    reason = "interrupted" if isinstance(failure, Interrupted) else f"cannot be built: {_said(failure)}"
+    """Run of an estimator that could not be built, was not reached, or whose process was lost."""
+    said = _said(failure)
+    reason = said if isinstance(failure, Interrupted | LostError) else f"cannot be built: {said}"
     return Run.without_frames(
         name,
         Log(error=reason, traceback=_traceback(failure)),
@@ -233,7 +234,7 @@ def _lagged(final: Final, frames: int) -> Lagged | None:
 def _said(failure: BaseException) -> str:
     """First line of an exception's message, with its type where it is not one of ours."""
     said = first_line(failure)
-    if not isinstance(failure, ContractError | Interrupted) and said != type(failure).__name__:
+    if not isinstance(failure, ContractError | Interrupted | LostError) and said != type(failure).__name__:
         said = f"{type(failure).__name__}: {said}"
     return said[:_LONGEST_REASON]
 

@@ -122,8 +122,8 @@ _OWN = {
         "optimisation and covariances."
     ),
     "peak_rss_mb": (
-        "Largest resident memory of the process while the estimator ran; the runs share a process, so it "
-        "does not fall from one to the next."
+        "Largest resident memory of the process while the estimator ran; runs one after the other share a "
+        "process, so it does not fall from one to the next."
     ),
 }
 _BESIDE: dict[Beside, str] = {

@@ -78,7 +78,8 @@ class Content:
     spread : Spread or None
         What choices of the settings do to the errors, as far as that is known.
     noticed : sequence of str
-        What of trajectories from elsewhere would fool their scores.
+        What of trajectories from elsewhere would fool their scores, and of what runs the times are no fair
+        comparison.
     """
 
     title: str
