@@ -10,6 +10,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.estimators.smoother.keys import A, thresholds
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.segments import Segments
 
 _POSE_SHARE = 0.05
 """A pose that moved by more than this share of the baseline is relinearised, unless the options say it."""
@@ -137,38 +138,43 @@ class _Read:
 
     def pose(self, key: int) -> Array:
         """Pose ``(4, 4)``."""
-        return _solved(self._solver.calculateEstimatePose3, key).matrix()
+        return _solved(self._with(key).calculateEstimatePose3, key).matrix()
 
     def vector(self, key: int) -> Array:
         """Vector variable."""
-        return _solved(self._solver.calculateEstimateVector, key)
+        return _solved(self._with(key).calculateEstimateVector, key)
 
     def imu_bias(self, key: int) -> gtsam.imuBias.ConstantBias:
         """Biases of accelerometer and gyro."""
-        return _solved(self._solver.calculateEstimateConstantBias, key)
+        return _solved(self._with(key).calculateEstimateConstantBias, key)
 
     def points(self, keys: Sequence[int]) -> Array:
         """Points ``(n, 3)`` [m]."""
-        read = self._solver.calculateEstimatePoint3
+        read = self._with(*keys).calculateEstimatePoint3
         return np.array([read(key) for key in keys]).reshape(-1, 3)
 
     def covariance(self, key: int) -> Array:
         """Marginal covariance of a variable."""
-        return _solved(self._solver.marginalCovariance, key)
+        return _solved(self._with(key).marginalCovariance, key)
 
     def calibration(self, key: int) -> gtsam.Cal3_S2:
         """Calibration of a camera."""
-        return _solved(self._solver.calculateEstimateCal3_S2, key)
+        return _solved(self._with(key).calculateEstimateCal3_S2, key)
 
     def joint_covariance(self, keys: Sequence[int]) -> Array:
         """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
         if len(keys) == 1:
             return self.covariance(keys[0])
-        return joint_covariance(self._joint_solver(), keys)
+        return joint_covariance(self._joint_solver(*keys), keys)
 
-    def _joint_solver(self) -> Any:
-        """What GTSAM has joint covariances of."""
+    def _with(self, *keys: int) -> Any:
+        """What GTSAM has estimates of some variables of."""
+        del keys
         return self._solver
+
+    def _joint_solver(self, *keys: int) -> Any:
+        """What GTSAM has joint covariances of."""
+        return self._with(*keys)
 
 
 class WholeGraph(_Read):
@@ -191,19 +197,21 @@ class WholeGraph(_Read):
     update. It tells nothing of the rest. But the others then keep what they have within the tie, and the
     anchor, whose own information is that of the tie alone, takes the loss from there to the drift: seven
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
+
+    What is old leaves the tree for the time of the steps (:mod:`vislam.estimators.smoother.segments`), unless
+    all variables are to be up to date at each step.
     """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
         self._options = options
         self._anchored = parameters.getFactorization() == "CHOLESKY"
-        # Factors that were given to the solver, which appends, and the slot and key of the anchor among them.
-        self._given = 0
+        # Slot and key of the anchor.
         self._anchor: tuple[int, int] | None = None
         # What the last update eliminated last.
         self._last = gtsam.KeyGroupMap()
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
-        self._solver = gtsam.ISAM2(parameters)
+        self._segments = Segments(parameters, cut=options.wildfire_threshold > 0.0)
         self._qr: gtsam.ISAM2 | None = None
         self._resting = gtsam.KeyList()
         self._at_rest: set[int] = set()
@@ -228,8 +236,6 @@ class WholeGraph(_Read):
             remove += [] if self._anchor is None else [self._anchor[0]]
             graph, values = self._with_anchor(newest[0], graph, values)
             order.append([A(frame)])
-        self._given += graph.size()
-        parameters.removeFactorIndices = remove
         self._last = last = gtsam.KeyGroupMap()
         # What has no group comes first, with group 0; at the first frame there is nothing of the kind, and as
         # many groups as variables with another would be one too many.
@@ -241,8 +247,14 @@ class WholeGraph(_Read):
         if self._options.relinearises(frame):
             parameters.force_relinearize = True
             parameters.noRelinKeys = self._resting
-        slots = list(self._solve(graph, values, parameters).getNewFactorsIndices())
+        slots = self._solve(graph, values, parameters, remove)
+        if self._segments.cut(self._at_rest, last):
+            self._set_resting()
         return slots[1:] if self._anchored else slots
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        return self._segments.linearization_point()
 
     def covariance(self, key: int) -> Array:
         """Marginal covariance of a variable, which Cholesky may fail to read from a tree that it has made."""
@@ -261,7 +273,7 @@ class WholeGraph(_Read):
     def _by_qr(self) -> gtsam.ISAM2:
         """Tree by QR of the same factors at the same linearisation point, made once after an update."""
         if self._qr is None:
-            self._qr = tree_by_qr(self._solver.getFactorsUnsafe(), self._solver.getLinearizationPoint())
+            self._qr = tree_by_qr(self._segments.factors, self.linearization_point())
         return self._qr
 
     def relinearise(self) -> None:
@@ -278,29 +290,46 @@ class WholeGraph(_Read):
         everything.force_relinearize = self._options.relinearize_every > 0
         everything.forceFullSolve = True
         everything.constrainedKeys = self._last
+        self._join()
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the anchor's, by slot."""
-        found = self._solver.getFactorsUnsafe()
+        found = gtsam.NonlinearFactorGraph(self._segments.factors)
         if self._anchor is not None:
             found.remove(self._anchor[0])
         return found
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables but the anchor."""
-        found = _solved(self._solver.calculateBestEstimate)
+        self._join()
+        found = _solved(self._segments.tree(()).calculateBestEstimate)
         if self._anchor is not None:
             found.erase(self._anchor[1])
         return found
+
+    def _with(self, *keys: int) -> gtsam.ISAM2:
+        return _solved(self._segments.tree, keys)
+
+    def _join(self) -> None:
+        """Have the whole tree."""
+        if not self._segments.whole:
+            _solved(self._segments.join, self._last)
+            self._set_resting()
 
     def _rest(self, keys: Sequence[int], *, back: set[int]) -> None:
         """Relinearise some keys no more, and those again that have come ``back`` into view."""
         self._at_rest.update(keys)
         if back:
             self._at_rest -= back
-            self._resting, keys = gtsam.KeyList(), sorted(self._at_rest)
+            self._set_resting()
+            return
         for key in keys:
+            self._resting.push_back(key)
+
+    def _set_resting(self) -> None:
+        self._resting = gtsam.KeyList()
+        for key in sorted(self._segments.held(self._at_rest)):
             self._resting.push_back(key)
 
     def _with_anchor(
@@ -313,12 +342,18 @@ class WholeGraph(_Read):
         all_factors.add(gtsam.BetweenFactorPose3(pose, key, gtsam.Pose3(), noise))
         all_factors.push_back(graph)
         all_values.insert(key, values.atPose3(pose))
-        self._anchor = self._given, key
+        self._anchor = self._segments.factors.size(), key
         return all_factors, all_values
 
-    def _solve(self, *arguments: Any) -> gtsam.ISAM2Result:
+    def _solve(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        parameters: gtsam.ISAM2UpdateParams,
+        remove: Sequence[int] = (),
+    ) -> list[int]:
         self._qr = None
-        return _solved(self._solver.update, *arguments)
+        return _solved(self._segments.update, graph, values, parameters, remove)
 
 
 class FixedLag(_Read):
@@ -372,7 +407,8 @@ class FixedLag(_Read):
         """Relinearise likewise: all that is held is recent."""
         self.relinearise()
 
-    def _joint_solver(self) -> Any:
+    def _joint_solver(self, *keys: int) -> Any:
+        del keys
         return _solved(gtsam.Marginals, self._solver.getFactors(), self._solver.getLinearizationPoint())
 
     def factors(self) -> gtsam.NonlinearFactorGraph:

@@ -1,0 +1,245 @@
+"""iSAM2 that stays small on long sequences: what is old is replaced by its marginal until the end.
+
+With each relinearisation GTSAM looks at all variables and all cliques of its tree, whatever of it moves. So a
+step grows linearly with the sequence, although nothing of what is old is touched. Variables that rest (they
+are not relinearised any more) and share no factor with one that does not are eliminated once and leave: the
+rest has the same marginal as before, at the same linearisation point, by the factorisation that the tree
+would have had as well (Kaess et al., *iSAM2: Incremental Smoothing and Mapping Using the Bayes Tree*, IJRR
+2012, section 3: a sub-tree enters what is above it by the marginal on its separator alone). All factors and
+linearisation points are kept, and what needs all of them has the whole tree again.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+
+from vislam.estimators.smoother.keys import is_landmark
+
+_EVERY = 200
+"""Updates between two cuts."""
+
+
+@dataclass
+class _Place:
+    """Where factors are in a tree.
+
+    Attributes
+    ----------
+    of : dict of int to int
+        Slot in the tree by the slot among all, of those before ``first``.
+    first, offset : int
+        Those from ``first`` on are ``offset`` further back in the tree.
+    marginals : set of int
+        Slots in the tree of marginals of what has left it.
+    """
+
+    of: dict[int, int] = field(default_factory=dict)
+    first: int = 0
+    offset: int = 0
+    marginals: set[int] = field(default_factory=set)
+
+    def find(self, slot: int) -> int | None:
+        """Slot in the tree; None if the factor has left it."""
+        return slot - self.offset if slot >= self.first else self.of.get(slot)
+
+
+class Segments:
+    """iSAM2 of the newest segment of a sequence, with all that has left it.
+
+    Parameters
+    ----------
+    parameters : gtsam.ISAM2Params
+    cut : bool
+        Whether anything leaves.
+
+    Attributes
+    ----------
+    factors : gtsam.NonlinearFactorGraph
+        All factors, by slot; empty where one was taken out.
+    """
+
+    def __init__(self, parameters: gtsam.ISAM2Params, *, cut: bool = True) -> None:
+        self._parameters, self._cuts = parameters, cut
+        self._tree = gtsam.ISAM2(parameters)
+        self.factors = gtsam.NonlinearFactorGraph()
+        # Where those are linearised that have left.
+        self._left = gtsam.Values()
+        self._place = _Place()
+        self._updates, self._wait = 0, _EVERY
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing has left."""
+        return self._left.size() == 0
+
+    def tree(self, keys: Iterable[int]) -> gtsam.ISAM2:
+        """Tree that has some variables: that of the newest segment, or the whole one."""
+        if not self.whole and not all(map(self._tree.valueExists, keys)):
+            self.join()
+        return self._tree
+
+    def update(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        parameters: gtsam.ISAM2UpdateParams,
+        remove: Sequence[int] = (),
+    ) -> list[int]:
+        """Update the tree; returns the slots of the new factors among all.
+
+        Parameters
+        ----------
+        graph, values
+            New factors, and first values of new variables.
+        parameters : gtsam.ISAM2UpdateParams
+            All but the factors to remove.
+        remove : sequence of int
+            Their slots among all.
+        """
+        if not self.whole:
+            known = (key for key in graph.keyVector() if not values.exists(key))
+            if any(map(self._left.exists, known)) or None in map(self._place.find, remove):
+                self.join()
+        places = map(self._place.find, remove)
+        parameters.removeFactorIndices = [place for place in places if place is not None]
+        for slot in remove:
+            self.factors.remove(slot)
+        first = self.factors.size()
+        self.factors.push_back(graph)
+        self._updates += 1
+        self._tree.update(graph, values, parameters)
+        return list(range(first, self.factors.size()))
+
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        if self.whole:
+            return self._tree.getLinearizationPoint()
+        found = gtsam.Values(self._left)
+        found.insert(self._tree.getLinearizationPoint())
+        return found
+
+    def cut(self, resting: Collection[int], last: gtsam.KeyGroupMap) -> bool:
+        """Let leave what may, now and then, and say whether anything did.
+
+        Parameters
+        ----------
+        resting : collection of int
+            Variables that are not relinearised.
+        last : gtsam.KeyGroupMap
+            What is eliminated last.
+        """
+        if not self._cuts or self._updates < self._wait:
+            return False
+        held = self._tree.getFactorsUnsafe()
+        keys = {slot: held.at(slot).keys() for slot in range(held.size()) if held.exists(slot)}
+        leaving = _leaving(keys, resting, self._place.marginals)
+        if 2 * len(leaving) < len(set().union(*keys.values())):
+            # Long tracks, or errors that all observations share: looked at again after twice the time.
+            self._wait = 2 * self._updates
+            return False
+        inside = {slot for slot, own in keys.items() if not leaving.isdisjoint(own)}
+        point = self._tree.getLinearizationPoint()
+        try:
+            marginal = _marginal(_some(held, inside), point, leaving)
+            graph = _some(held, keys.keys() - inside)
+            kept = graph.size()
+            for factor in marginal:
+                graph.add(factor)
+            tree = self._solved(graph, _without(point, leaving), last)
+        except (RuntimeError, IndexError):
+            self._wait = 2 * self._updates
+            return False
+        back = {own: slot for slot, own in self._slots().items()}
+        stay = [slot for slot in keys if slot not in inside]
+        moved = {back[slot]: place for place, slot in enumerate(stay) if slot in back}
+        marginals = set(range(kept, graph.size()))
+        marginals |= {place for place, slot in enumerate(stay) if slot in self._place.marginals}
+        self._left.insert(_only(point, leaving))
+        self._tree = tree
+        self._place = _Place(moved, self.factors.size(), self.factors.size() - graph.size(), marginals)
+        self._updates, self._wait = 0, _EVERY
+        return True
+
+    def join(self, last: gtsam.KeyGroupMap | None = None) -> None:
+        """Bring back all that has left: the whole tree, solved at where its factors were linearised."""
+        slots = [slot for slot in range(self.factors.size()) if self.factors.exists(slot)]
+        graph = _some(self.factors, slots)
+        asked, values = graph.keys(), self.linearization_point()
+        values = _without(values, [key for key in list(values.keys()) if not asked.count(key)])
+        self._tree = self._solved(graph, values, gtsam.KeyGroupMap() if last is None else last)
+        self._left = gtsam.Values()
+        moved = {slot: place for place, slot in enumerate(slots)}
+        self._place = _Place(moved, self.factors.size(), self.factors.size() - graph.size())
+        self._updates = 0
+
+    def held(self, keys: Iterable[int]) -> Iterator[int]:
+        """Those of some variables that have not left."""
+        return (key for key in keys if not self._left.exists(key))
+
+    def _slots(self) -> dict[int, int]:
+        """Slot in the tree by slot among all, of those that have not left."""
+        place = self._place
+        later = range(place.first, self.factors.size())
+        return place.of | {slot: slot - place.offset for slot in later}
+
+    def _solved(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, last: gtsam.KeyGroupMap
+    ) -> gtsam.ISAM2:
+        tree, parameters = gtsam.ISAM2(self._parameters), gtsam.ISAM2UpdateParams()
+        parameters.constrainedKeys = last
+        tree.update(graph, values, parameters)
+        return tree
+
+
+def _leaving(keys: dict[int, list[int]], resting: Collection[int], marginals: Collection[int]) -> set[int]:
+    """Variables that rest, as do all that they share a factor with.
+
+    A landmark leaves with the last frame that saw it: else those frames would all be tied to each other.
+    """
+    stay: set[int] = set()
+    for own in keys.values():
+        if any(key not in resting for key in own):
+            stay.update(own)
+    frames = {key for key in stay if not is_landmark(key)}
+    for slot, own in keys.items():
+        if slot not in marginals and not frames.isdisjoint(own):
+            stay.update(filter(is_landmark, own))
+    return set().union(*keys.values()) - stay
+
+
+def _marginal(
+    graph: gtsam.NonlinearFactorGraph, point: gtsam.Values, leaving: Collection[int]
+) -> list[gtsam.LinearContainerFactor]:
+    """Marginal of a graph, linearised at a point, on what does not leave.
+
+    By QR: what is left of the information on the way from the first pose is little beside that of the last
+    step, and normal equations would lose its digits.
+    """
+    linear = graph.linearize(point)
+    _, rest = linear.eliminatePartialMultifrontal(sorted(leaving), gtsam.EliminateQR)
+    factors = [rest.at(index) for index in range(rest.size()) if rest.exists(index)]
+    return [
+        gtsam.LinearContainerFactor(factor, _only(point, factor.keys()))
+        for factor in factors
+        if factor.keys()
+    ]
+
+
+def _some(graph: gtsam.NonlinearFactorGraph, slots: Iterable[int]) -> gtsam.NonlinearFactorGraph:
+    found = gtsam.NonlinearFactorGraph()
+    for slot in slots:
+        found.push_back(graph.at(slot))
+    return found
+
+
+def _only(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
+    wanted = set(keys)
+    return _without(values, [key for key in list(values.keys()) if key not in wanted])
+
+
+def _without(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
+    found = gtsam.Values(values)
+    for key in keys:
+        found.erase(key)
+    return found
