@@ -56,7 +56,7 @@ def write(folder, trial, content):
 
 def use(folder, trial):
     """All that a study does with its files."""
-    folder.write_table(lambda: [trial], swept=[PIXELS], metrics=[])
+    folder.write_table(lambda: [trial], swept={PIXELS: [1.0]}, metrics=[])
     records = (
         {"seed": one.seed, "point": one.point.values, **found} for one, found in folder.finished([trial])
     )

@@ -451,7 +451,8 @@ def test_a_full_disk_is_one_line_and_2(ran, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_start(ran, capsys):
+def test_a_page_that_does_not_fit_is_one_line_and_2_and_comes_with_the_next_start(ran, capsys, monkeypatch):
+    monkeypatch.setattr("vislam.study.folder.has_parquet", lambda: False)
     assert study() == 0
     only("*/study.html").unlink()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -128,7 +128,8 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
         If there are trials and no estimator has finished in any of them.
     """
     swept = tuple(plan.points[0].values)
-    folder.write_table(plan.trials, swept=swept, metrics=plan.study.metrics)
+    values = {path: [point.values[path] for point in plan.points] for path in swept}
+    tables = folder.write_table(plan.trials, swept=values, metrics=plan.study.metrics)
     counts: Counter[str] = Counter()
     ranking = plan.study.ranking
     ranked = () if ranking is None else (ranking.by, *ranking.errors)
@@ -169,7 +170,7 @@ def conclude(plan: Plan, folder: StudyFolder, progress: Progress) -> int:
             f"{lost} trials were lost with their workers, or there was none left for them; run the study "
             "again to repeat them"
         )
-    progress.note(f"trials: {folder.path / 'trials.csv'}")
+    progress.note(f"trials: {', '.join(map(str, tables))}")
     progress.note(f"study: {page}")
     if len(trials) and not trials.any_complete:
         first = next(filter(None, trials.reason))

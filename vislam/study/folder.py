@@ -1,19 +1,18 @@
 """The folder of a study: a file for each finished trial, and a table of them all."""
 
-import csv
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from vislam.base.errors import DataError, NotWrittenError
-from vislam.base.files import check_writable, replace_whole, write_text
-from vislam.comparison import config as configuration
+from vislam.base.files import check_writable, remove, write_text
 from vislam.comparison.identity import code_digest
 from vislam.study import saved
 from vislam.study.points import Trial
 from vislam.study.saved import Result
+from vislam.study.table import Table, as_text, csv_table, has_parquet, kind_of, parquet_table
 from vislam.study.trial import DONE, FAILED
 
 
@@ -66,45 +65,76 @@ class StudyFolder:
                 yield trial, found
 
     def write_table(
-        self, trials: Callable[[], Iterable[Trial]], *, swept: Sequence[str], metrics: Sequence[str]
-    ) -> None:
-        """Write ``trials.csv``: a row for each trial that is there, a column for each metric of each run.
+        self,
+        trials: Callable[[], Iterable[Trial]],
+        *,
+        swept: Mapping[str, Sequence[Any]],
+        metrics: Sequence[str],
+    ) -> list[Path]:
+        """Write a row for each trial that is there, with a column for each metric of each run.
+
+        ``trials.csv``, and ``trials.parquet`` where pyarrow is installed; else one of an earlier start is
+        removed.
 
         Parameters
         ----------
         trials : callable
             Gives the trials anew, once for the header and once for the rows.
-        swept : sequence of str
-            Dotted paths of what differs between points.
+        swept : mapping of str to sequence
+            Values at the points by the dotted paths of what differs between them.
         metrics : sequence of str
             Keys to keep; none: all.
+
+        Returns
+        -------
+        list of Path
+            The files.
         """
         columns: dict[str, None] = {}
         for _, found in self.finished(trials()):
             columns |= dict.fromkeys(_wide(found, metrics))
-        own = ("id", "seed", *swept, "status", "reason", "seconds")
-        path = self.path / "trials.csv"
-        with (
-            told(path),
-            replace_whole(path) as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            writer = csv.writer(file)
-            writer.writerow((*own, *columns))
+        kinds = {"id": "string", "seed": "int64"}
+        kinds |= {path: kind_of(values) for path, values in swept.items()}
+        kinds |= {
+            "status": "string",
+            "reason": "string",
+            "seconds": "double",
+            **dict.fromkeys(columns, "double"),
+        }
+        with self._tables(kinds) as tables:
             for trial, found in self.finished(trials()):
-                wide = _wide(found, metrics)
-                writer.writerow((*_own(trial, found), *(wide.get(name, "") for name in columns)))
+                row = {**_own(trial, found, kinds), **_wide(found, metrics)}
+                for table in tables.values():
+                    table.write(row)
+            return list(tables)
+
+    @contextmanager
+    def _tables(self, kinds: Mapping[str, str]) -> Iterator[dict[Path, Table]]:
+        """Give the tables to be written, by their files."""
+        whole, compact = self.path / "trials.csv", self.path / "trials.parquet"
+        tables = {}
+        with ExitStack() as stack:
+            stack.enter_context(told(whole))
+            tables[whole] = stack.enter_context(csv_table(whole, list(kinds)))
+            stack.enter_context(told(compact))
+            if has_parquet():
+                tables[compact] = stack.enter_context(parquet_table(compact, kinds))
+            else:
+                remove(compact)
+            yield tables
 
     def _file(self, trial: Trial) -> Path:
         return self.path / "trials" / f"{trial.id}.json"
 
 
-def _own(trial: Trial, result: Result) -> Iterator[Any]:
+def _own(trial: Trial, result: Result, kinds: Mapping[str, str]) -> dict[str, Any]:
     """Cells before the metrics."""
-    yield from (trial.id, trial.seed)
-    for value in trial.point.values.values():
-        yield configuration.inline(value) if isinstance(value, dict | list | tuple) else value
-    yield from (result["status"], result["reason"], result["seconds"])
+    values = {path: as_text(value) for path, value in trial.point.values.items()}
+    texts = {
+        path: str(value) for path, value in values.items() if kinds[path] == "string" and value is not None
+    }
+    told = {key: result[key] for key in ("status", "reason", "seconds")}
+    return {"id": trial.id, "seed": trial.seed, **values, **texts, **told}
 
 
 def _wide(result: Result, keys: Sequence[str]) -> dict[str, float]:
