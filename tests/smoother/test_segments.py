@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import ate, dark, drive, gap, member, teleporting_track
-from vislam.estimators.smoother import segments
+from vislam.estimators.smoother import SmootherOptions, segments
+from vislam.estimators.smoother.engine import WholeGraph
 from vislam.estimators.smoother.keys import X, landmark
 from vislam.estimators.smoother.segments import Segments, _leaving
 
@@ -93,6 +94,15 @@ def test_where_all_observations_share_an_error_the_tree_stays_whole(monkeypatch,
     whole, cut = both(monkeypatch, config, dataset)
     assert not cuts
     assert np.array_equal(whole.smoothed.world_T_imu, cut.smoothed.world_T_imu)
+
+
+def test_where_poses_are_reported_by_the_first_frame_it_stays_whole(monkeypatch, cuts):
+    monkeypatch.setattr(segments, "_EVERY", OFTEN)
+    engine = WholeGraph(SmootherOptions(), parameters())
+    for k, graph, values in chain(30):
+        first = {"newest": [X(k), X(0)] if k else [X(0)], "resting": [X(k - 6)] if k > 5 else []}
+        engine.update(graph, values, stamps={}, in_view=[], remove=[], **first)
+    assert not cuts
 
 
 def test_where_old_poses_are_read_at_each_step_it_stays_whole(monkeypatch, cuts):

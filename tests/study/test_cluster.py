@@ -53,6 +53,45 @@ def test_each_trial_comes_back_once_and_few_are_held_at_a_time(client):
     assert next(taken) == 60
 
 
+def short(tree, seed):
+    return {**work(tree, seed), "seconds": 0.001}
+
+
+def test_short_trials_go_several_to_a_task(client, monkeypatch):
+    tasks = []
+    submit = client.submit
+    monkeypatch.setattr(
+        client, "submit", lambda *given, **how: tasks.append(len(given[2])) or submit(*given, **how)
+    )
+    found = sorted(result["seed"] for _, result in run_trials(client, trials(200), work=short))
+    assert found == list(range(200))
+    assert tasks[:8] == [1] * 8
+    assert max(tasks) == 16
+    assert sum(tasks) == 200
+
+
+def test_of_several_in_a_task_only_the_one_at_fault_is_lost(client):
+    def one_broken(tree, seed):
+        if seed == 77:
+            raise MemoryError("out of memory")
+        return short(tree, seed)
+
+    found = {
+        trial.seed: result["status"] for trial, result in run_trials(client, trials(100), work=one_broken)
+    }
+    assert found == {seed: LOST if seed == 77 else "done" for seed in range(100)}
+
+
+def test_long_trials_go_one_to_a_task():
+    pace = cluster._Pace()
+    for seconds, trials_of_task in ((0.001, 16), (0.1, 5), (0.3, 1), (90.0, 1), (0.02, 16)):
+        pace.take([{"seconds": seconds}, {"seconds": 0.0}])
+        assert pace.trials == trials_of_task
+    pace.take([])
+    pace.take([{"seconds": None}])
+    assert pace.trials == 16
+
+
 def test_trials_are_drawn_only_as_others_finish(client):
     drawn = []
 

@@ -2,7 +2,8 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +27,10 @@ LOST = "lost"
 PATIENCE = 60.0
 """How long to wait for a worker of a scheduler that runs already, at the start and once all are gone [s]."""
 _OUTSTANDING = 4
-"""Trials that are under way or wait, for each worker."""
+"""Tasks that are under way or wait, for each worker."""
+_TASK_TIME, _MOST_OF_TASK = 0.5, 16
+"""Trials that are shorter than this go several to a task, until it takes as long [s], and so many at most:
+a task costs scheduler, driver and worker some 10 ms whatever it does."""
 _RETRIES = 2
 _RESTARTING = 20.0
 """How long Dask may take to start killed processes of this machine again [s]; it gives up after 15."""
@@ -96,7 +100,8 @@ def run_trials(
     """Run trials and give each with its result, as they finish.
 
     Only a few for each worker are handed out at a time, and each is forgotten once it is here, so that what
-    is held does not grow with their number. A trial that a worker took down with it goes to another.
+    is held does not grow with their number. Short ones go several to a task. A trial that a worker took down
+    with it goes to another, by itself.
 
     Parameters
     ----------
@@ -119,30 +124,58 @@ def run_trials(
         If there is no worker left.
     """
     patience = patience if client.cluster is None else _RESTARTING
-    under_way: dict[str, Trial] = {}
-    finished = as_completed()
+    under_way: dict[str, list[Trial]] = {}
+    alone: deque[Trial] = deque()
+    finished, pace = as_completed(), _Pace()
 
     def top_up() -> None:
         with _told():
             # Workers come and go: a cluster's queue lets them in one after the other.
             window = _OUTSTANDING * max(1, sum(client.nthreads().values()))
-        for trial in islice(trials, max(0, window - len(under_way))):
-            key = f"trial-{trial.id}"
-            under_way[key] = trial
-            tree, seed = trial.point.tree, trial.seed
+        while len(under_way) < window:
+            some = [alone.popleft()] if alone else list(islice(trials, pace.trials))
+            if not some:
+                return
+            key = f"{'trial' if len(some) == 1 else 'trials'}-{some[0].id}"
+            under_way[key] = some
+            jobs = [(trial.point.tree, trial.seed) for trial in some]
             with _told():
-                finished.add(client.submit(work, tree, seed, key=key, retries=_RETRIES, pure=False))
+                finished.add(client.submit(_each, work, jobs, key=key, retries=_RETRIES, pure=False))
 
     top_up()
     while under_way:
         _wait(client, finished, patience=patience, say=say)
         future = next(finished)
-        trial = under_way.pop(future.key)
+        some = under_way.pop(future.key)
         with _told():
-            result = _result(future, trial)
+            results = _results(future, some)
         future.release()
+        if not results:
+            alone.extend(some)
+        pace.take(results)
         top_up()
-        yield trial, result
+        yield from zip(some, results, strict=False)
+
+
+class _Pace:
+    """How many trials go to a task, by how long the last ones took."""
+
+    def __init__(self) -> None:
+        self.trials = 1
+
+    def take(self, results: Sequence[dict[str, Any]]) -> None:
+        """Take the results of a task."""
+        taken = [result["seconds"] for result in results if result.get("seconds") is not None]
+        if taken:
+            longest = max(*taken, _TASK_TIME / _MOST_OF_TASK)
+            self.trials = max(1, int(_TASK_TIME / longest))
+
+
+def _each(
+    work: Callable[[Any, int], dict[str, Any]], jobs: Sequence[tuple[Any, int]]
+) -> list[dict[str, Any]]:
+    """Run the trials of a task, on a worker."""
+    return [work(tree, seed) for tree, seed in jobs]
 
 
 def _wait(client: Client, finished: as_completed, *, patience: float, say: Callable[[str], None]) -> None:
@@ -172,16 +205,25 @@ def watch_at(client: Client) -> str:
     return f"dashboard: {client.dashboard_link}"
 
 
-def _result(future: Any, trial: Trial) -> dict[str, Any]:
-    """Result of a finished trial, or the record of one whose workers died."""
+def _results(future: Any, some: Sequence[Trial]) -> list[dict[str, Any]]:
+    """Results of a finished task; of one whose workers died the record that says so, or none of several."""
     try:
-        result: dict[str, Any] = future.result()
+        results: list[dict[str, Any]] = future.result()
     except (CancelledError, ClosedClientError, CommClosedError):
         raise
     except Exception as error:
+        if len(some) > 1:
+            return []
         # The trial itself turns what goes wrong into a result: this is its worker.
-        reason = f"{type(error).__name__}: {first_line(error)}"
-        return {**nothing(LOST, reason), "seconds": None, "code": code_digest(), "inputs": trial.point.inputs}
+        lost = nothing(LOST, f"{type(error).__name__}: {first_line(error)}")
+        return [{**lost, "seconds": None, "code": code_digest(), "inputs": some[0].point.inputs}]
+    for trial, result in zip(some, results, strict=True):
+        _refuse_other(trial, result)
+    return results
+
+
+def _refuse_other(trial: Trial, result: dict[str, Any]) -> None:
+    """Raise ConfigError if a worker has other code, or has read other files."""
     if result["code"] != code_digest():
         raise ConfigError(other_code(result["code"], "a worker"))
     if result["inputs"] != trial.point.inputs:
@@ -189,7 +231,6 @@ def _result(future: Any, trial: Trial) -> dict[str, Any]:
             "a worker has read other files than those that the config names here, or they have been changed "
             "since the start; let both be the same and run the study again"
         )
-    return result
 
 
 @contextmanager
