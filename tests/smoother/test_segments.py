@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.smoother.drives import ate, dark, drive, gap, member, teleporting_track
-from vislam.estimators.smoother import SmootherOptions, segments
-from vislam.estimators.smoother.engine import WholeGraph
+from vislam.comparison.config import VerticalVelocityConfig
+from vislam.comparison.open import open_dataset
+from vislam.estimators.smoother import segments
 from vislam.estimators.smoother.keys import X, landmark
 from vislam.estimators.smoother.segments import Segments, _leaving
 
@@ -97,12 +98,14 @@ def test_where_all_observations_share_an_error_the_tree_stays_whole(monkeypatch,
 
 
 def test_where_poses_are_reported_by_the_first_frame_it_stays_whole(monkeypatch, cuts):
-    monkeypatch.setattr(segments, "_EVERY", OFTEN)
-    engine = WholeGraph(SmootherOptions(), parameters())
-    for k, graph, values in chain(30):
-        first = {"newest": [X(k), X(0)] if k else [X(0)], "resting": [X(k - 6)] if k > 5 else []}
-        engine.update(graph, values, stamps={}, in_view=[], remove=[], **first)
+    settings = {"navigation_frame_velocity": True, "hills_m": 10.0, **SHORT}
+    config, _ = drive(seed=8, frames=30, **settings)
+    data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
+    noise = replace(config.noise, vertical_velocity=VerticalVelocityConfig(walk=0.05, tilt_sigma=0.05))
+    config, dataset = replace(config, data=data, noise=noise), open_dataset(data, seed=8)
+    whole, cut = both(monkeypatch, config, dataset)
     assert not cuts
+    assert np.array_equal(whole.filtered.world_T_imu, cut.filtered.world_T_imu)
 
 
 def test_where_old_poses_are_read_at_each_step_it_stays_whole(monkeypatch, cuts):
