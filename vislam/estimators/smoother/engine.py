@@ -211,7 +211,7 @@ class WholeGraph(_Read):
         self._last = gtsam.KeyGroupMap()
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
-        self._segments = Segments(parameters, cut=options.wildfire_threshold > 0.0)
+        self._segments = Segments(parameters, cut=options.wildfire_threshold != 0.0)
         self._qr: gtsam.ISAM2 | None = None
         self._resting = gtsam.KeyList()
         self._at_rest: set[int] = set()
