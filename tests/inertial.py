@@ -19,10 +19,10 @@ IMU = ImuSimulation(rate=200.0, gyro_density=5e-4, accel_density=5e-3, gyro_walk
 
 
 @cache
-def drive(*, seed=1, frames=25, pixel=0.3, imu=IMU, tracks=25.0, **settings):
+def drive(*, seed=1, frames=25, pixel=0.3, imu=IMU, tracks=25.0, period=0.1, **settings):
     """Config and dataset; the noise is as simulated."""
     simulation = SimulationConfig(
-        frames=frames, tracks_in_view=tracks, pixel_sigma_px=pixel, imu=imu, period=0.1, **settings
+        frames=frames, tracks_in_view=tracks, pixel_sigma_px=pixel, imu=imu, period=period, **settings
     )
     names = ("gyro_density", "accel_density", "gyro_walk", "accel_walk", "gravity")
     config = Config(
