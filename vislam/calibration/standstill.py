@@ -11,6 +11,7 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.core.rigid_fit import FEWEST, continuations
 from vislam.core.sequence import Sequence
+from vislam.core.standstill import runs
 
 _FLOW_PX = 0.3
 """Median flow of a frame's tracks below which nothing moves [px]."""
@@ -69,8 +70,7 @@ def _still(sequence: Sequence) -> BoolArray:
 
 def _stops(still: BoolArray, dt: Array) -> BoolArray:
     """Those of them that are part of a stop that is long enough."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int64)))
     out = np.zeros(len(still), dtype=bool)
-    for first, end in edges.reshape(-1, 2):
+    for first, end in runs(still):
         out[first:end] = float(dt[first:end].sum()) >= _SHORTEST_S
     return out

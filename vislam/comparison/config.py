@@ -279,6 +279,17 @@ class ImuNoiseConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ZeroVelocityConfig:
+    """How standing still is used, where the data tell it (``motion: imu``)."""
+
+    sigma: Positive = 0.01
+    """Standard deviation of the velocity of a body that stands still, along each axis [m/s]."""
+    slowest: Positive = 0.05
+    """A motion at this speed must not be taken for standing still: where tracks would not tell the two apart,
+    nothing is taken for it [m/s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class NoiseConfig:
     """Noise and prior, the same for every estimator. Six numbers are (omega, v), body axes."""
 
@@ -320,6 +331,9 @@ class NoiseConfig:
     """How these six walk."""
     vertical_velocity: VerticalVelocityConfig | None = None
     """How the vertical velocity is used; null: it is not."""
+    zero_velocity: ZeroVelocityConfig | None = None
+    """How standing still is used; null: it is not. For what stops for good, as a car does; a rig in the hand
+    that is held still is not at rest."""
     imu: ImuNoiseConfig = ImuNoiseConfig()
     """Raw inertia, where it is the model of motion; the defaults are EuRoC's data sheet."""
 

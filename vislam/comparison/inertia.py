@@ -8,6 +8,7 @@ from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset
 from vislam.core.estimator import Inertia
 from vislam.core.sequence import Sequence
+from vislam.core.standstill import Standstill, standstill
 from vislam.initialisation import InitialisationSettings, NotFoundError, initialise
 from vislam.models.imu import ImuNoise, ImuPrior
 
@@ -30,7 +31,8 @@ def inertia(config: Config, sequence: Sequence) -> Inertia:
     if asked:
         raise ConfigError(f"motion: imu makes no use of the recorded velocity; set {asked[0]}")
     noise = ImuNoise(**asdict(config.noise.imu))
-    return Inertia(noise, _found(sequence, noise) if sequence.start is None else sequence.start)
+    prior = _found(sequence, noise) if sequence.start is None else sequence.start
+    return Inertia(noise, prior, _standing(config, sequence, noise))
 
 
 def started(config: Config, dataset: Dataset) -> Dataset:
@@ -43,6 +45,15 @@ def started(config: Config, dataset: Dataset) -> Dataset:
     found = inertia(config, dataset.sequence).prior
     sequence = replace(dataset.sequence, start=found)
     return replace(dataset, sequence=sequence, notes=(*dataset.notes, f"initial state, {found.how}"))
+
+
+def _standing(config: Config, sequence: Sequence, noise: ImuNoise) -> Standstill | None:
+    """Where the body stands still, if that is to be used."""
+    wanted = config.noise.zero_velocity
+    if wanted is None:
+        return None
+    pixels = config.noise.pixel_sigma_px
+    return standstill(sequence, noise, pixel_sigma=pixels, slowest=wanted.slowest, sigma=wanted.sigma)
 
 
 def _found(sequence: Sequence, noise: ImuNoise) -> ImuPrior:

@@ -13,6 +13,7 @@ from vislam.base.plugins import annotation_of, find_plugin, installed, load_plug
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.lagged import Lags
+from vislam.core.standstill import Standstill
 from vislam.core.step import Final, Step
 from vislam.models import Kernel, SharedPrior, StereoRig, TrackNoise, shared_errors
 from vislam.models.imu import ImuNoise, ImuPrior
@@ -58,10 +59,22 @@ class Inertia:
     prior : ImuPrior
         Of the state at the first frame, in a world whose z axis points up; it takes the place of that of the
         first pose.
+    standstill : Standstill or None
+        Frames at which the velocity is zero, which all estimators take for a measurement; None: it is not
+        used.
     """
 
     noise: ImuNoise
     prior: ImuPrior
+    standstill: Standstill | None = None
+
+    @property
+    def information(self) -> dict[str, str]:
+        """What an estimator says of its motion."""
+        found = {"motion": "raw inertia", "biases of gyro and accelerometer": "estimated"}
+        if self.standstill is not None:
+            found["zero velocity"] = f"at {np.count_nonzero(self.standstill.frames)} frames"
+        return found
 
 
 @dataclass(frozen=True)

@@ -38,14 +38,11 @@ class InertialMotion:
     """Accelerometer and gyro. Blocks: ``velocity``, ``gyro_bias``, ``accel_bias`` (3 each)."""
 
     states = STATES
-    information: Mapping[str, str] = {
-        "motion": "raw inertia",
-        "biases of gyro and accelerometer": "estimated",
-    }
 
     def __init__(self, problem: Problem) -> None:
         assert problem.imu is not None
         self._inertia: Inertia = problem.imu
+        self.information: Mapping[str, str] = problem.imu.information
         self._gravity = self._inertia.noise.gravity_world
 
     def blocks(self) -> Mapping[str, Block]:
@@ -80,9 +77,21 @@ class InertialMotion:
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
     ) -> Sequence[Measurement]:
-        """Nothing is measured but the motion."""
-        del layout, world_T_imu, nav, frame
-        return []
+        """Measure the velocity where the body stands still: zero, along the axes of the body.
+
+        ``h = R^T v`` with ``H = (hat(R^T v), R^T)`` of attitude and velocity. It is the same number as the
+        velocity in the world, turned, but no motion of the world ``(omega, u)`` changes it, wherever it is
+        linearised: ``hat(R^T v) R^T omega + R^T (omega x v) = 0``. A residual in the world would tell of the
+        heading as long as the estimate moves.
+        """
+        still = self._inertia.standstill
+        if still is None or not still.frames[frame.k]:
+            return []
+        back = world_T_imu[:3, :3].T
+        velocity = back @ nav[layout[VELOCITY]]
+        by_nav = np.zeros((3, layout.size))
+        by_nav[:, :3], by_nav[:, layout[VELOCITY]] = so3.hat(velocity), back
+        return [Measurement(-velocity, by_nav, np.full(3, still.sigma**2))]
 
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
         """The z axis is up."""

@@ -34,32 +34,41 @@ _GTSAM_ORDER = np.r_[3:6, 0:3]
 class InertialMotion(KnownCamera):
     """Accelerometer and gyro, as one factor between two frames."""
 
-    information: Mapping[str, str] = {
-        "motion": "raw inertia",
-        "biases of gyro and accelerometer": "estimated",
-    }
     thresholds: Mapping[str, Array] = {"v": np.full(3, 0.05), "b": np.repeat([0.02, 0.001], 3)}
 
     def __init__(self, problem: Problem) -> None:
         assert problem.imu is not None
         self._inertia: Inertia = problem.imu
+        self.information: Mapping[str, str] = problem.imu.information
         prior = problem.imu.prior
         self._parameters = _parameters(problem.imu.noise)
         self._velocity = np.array(prior.velocity)
         self._bias = _bias(prior)
 
     def factors(self, frame: Frame, before: Frame | None) -> Sequence[gtsam.NonlinearFactor]:
-        """Prior of the first state, or the step."""
-        k = frame.k
+        """Prior of the first state, or the step; and the velocity where it is known to be zero."""
         if before is None:
-            return _first_state(self._inertia.prior)
+            return [*_first_state(self._inertia.prior), *self._standing(frame.k)]
+        return [self._step(frame), *self._standing(frame.k)]
+
+    def _standing(self, k: int) -> list[gtsam.NonlinearFactor]:
+        """Velocity of a body that stands still: its spread is the same along the axes of body and world."""
+        still = self._inertia.standstill
+        if still is None or not still.frames[k]:
+            return []
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, still.sigma)
+        return [gtsam.PriorFactorVector(V(k), np.zeros(3), noise)]
+
+    def _step(self, frame: Frame) -> gtsam.NonlinearFactor:
+        """Factor of the samples since the frame before."""
+        k = frame.k
         step = self._preintegrated(frame)
         keys = X(k - 1), V(k - 1), X(k), V(k), B(k - 1), B(k)
         factor = gtsam.GalileanCombinedImuFactor(*keys, step)
         assert frame.imu is not None
         if frame.imu.known.all():
-            return [factor]
-        return [factor.cloneWithNewNoiseModel(correlated(self._covariance(frame.imu)))]
+            return factor
+        return factor.cloneWithNewNoiseModel(correlated(self._covariance(frame.imu)))
 
     def predict(self, frame: Frame, pose: Array) -> Array:
         """Begin with the prior's pose; then take the samples less the biases, and let gravity act."""
