@@ -10,6 +10,7 @@ from tests.inertial import drive, ran, with_noise
 from tests.smoother.test_inertial import SMALL
 from vislam.comparison.compare import make_problem
 from vislam.comparison.config import ZeroVelocityConfig
+from vislam.comparison.inertia import started
 from vislam.core.imu import ImuSeries
 from vislam.estimators.ekf import motion as filters
 from vislam.evaluation.normalised import pose_errors
@@ -101,6 +102,15 @@ def test_samples_of_a_gap_are_not_steady():
     torn = ImuSeries(whole.stamp[kept], whole.gyro[kept], whole.accel[kept])
     found = frames_of(config, replace(dataset, sequence=replace(dataset.sequence, imu=torn)))
     assert not found[8:16].any()
+
+
+def test_it_is_decided_once():
+    """What is decided is not looked for again, with moved data neither."""
+    config, dataset = even(0.0, frames=13)
+    decided = started(config, dataset)
+    blind = replace(decided, sequence=dataset.sequence.select(np.zeros(dataset.sequence.observations, bool)))
+    assert frames_of(config, blind) is decided.standstill.frames
+    assert make_problem(with_noise(config, zero_velocity=None), decided).imu.standstill is None
 
 
 def test_it_is_not_used_unless_asked_for():

@@ -409,7 +409,7 @@ def make_problem(config: Config, dataset: Dataset) -> Problem:
         kernel=None if config.kernel is None else Kernel(config.kernel.degrees_of_freedom),
         lags=Lags(config.lags, config.lag_cov_every) if config.lags else None,
         kept=config.data.landmarks.most,
-        imu=inertia(config, dataset.sequence) if config.motion == "imu" else None,
+        imu=inertia(config, dataset) if config.motion == "imu" else None,
     )
 
 

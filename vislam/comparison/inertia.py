@@ -21,8 +21,9 @@ _UNUSED: Mapping[str, Callable[[Config], bool]] = {
 """What is of the twist alone, each by its remedy."""
 
 
-def inertia(config: Config, sequence: Sequence) -> Inertia:
-    """Noise and first state of ``motion: imu``; ConfigError if data or config lack what it takes."""
+def inertia(config: Config, dataset: Dataset) -> Inertia:
+    """What ``motion: imu`` takes; ConfigError if data or config lack it."""
+    sequence = dataset.sequence
     if sequence.imu is None:
         raise ConfigError(
             f"motion: imu needs an accelerometer and a gyro, {sequence.name} has none; set motion to odometry"
@@ -32,28 +33,33 @@ def inertia(config: Config, sequence: Sequence) -> Inertia:
         raise ConfigError(f"motion: imu makes no use of the recorded velocity; set {asked[0]}")
     noise = ImuNoise(**asdict(config.noise.imu))
     prior = _found(sequence, noise) if sequence.start is None else sequence.start
-    return Inertia(noise, prior, _standing(config, sequence, noise))
+    return Inertia(noise, prior, _standing(config, dataset, noise))
 
 
 def started(config: Config, dataset: Dataset) -> Dataset:
-    """The dataset with the first state that ``motion: imu`` takes, and a note on how it was found.
+    """The dataset with what ``motion: imu`` takes of it: standstill, and first state with a note on it.
 
-    Nothing changes with another motion, or where the recording says what the state is.
+    Nothing changes with another motion, and of the first state where the recording says what it is.
     """
-    if config.motion != "imu" or dataset.sequence.start is not None:
+    if config.motion != "imu":
         return dataset
-    found = inertia(config, dataset.sequence).prior
+    whole = inertia(config, dataset)
+    dataset, found = replace(dataset, standstill=whole.standstill), whole.prior
+    if dataset.sequence.start is not None:
+        return dataset
     sequence = replace(dataset.sequence, start=found)
     return replace(dataset, sequence=sequence, notes=(*dataset.notes, f"initial state, {found.how}"))
 
 
-def _standing(config: Config, sequence: Sequence, noise: ImuNoise) -> Standstill | None:
-    """Where the body stands still, if that is to be used."""
+def _standing(config: Config, dataset: Dataset, noise: ImuNoise) -> Standstill | None:
+    """Where the body stands still, if that is to be used, as it was decided or from the data."""
     wanted = config.noise.zero_velocity
     if wanted is None:
         return None
+    if dataset.standstill is not None:
+        return dataset.standstill
     pixels = config.noise.pixel_sigma_px
-    return standstill(sequence, noise, pixel_sigma=pixels, slowest=wanted.slowest, sigma=wanted.sigma)
+    return standstill(dataset.sequence, noise, pixel_sigma=pixels, slowest=wanted.slowest, sigma=wanted.sigma)
 
 
 def _found(sequence: Sequence, noise: ImuNoise) -> ImuPrior:

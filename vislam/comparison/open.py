@@ -22,6 +22,7 @@ from vislam.comparison.redraw import redraw, redrawn_note
 from vislam.comparison.simulated import simulated
 from vislam.core.reference import Reference
 from vislam.core.sequence import Repair, Sequence
+from vislam.core.standstill import Standstill
 from vislam.core.strip import Strip
 from vislam.datasets.find import find_file, find_path, not_found, search_path
 from vislam.datasets.oxts import with_oxts
@@ -52,6 +53,8 @@ class Dataset:
         in its repairs. None: none was chosen when it was opened.
     strip : Strip or None
         Small pictures, where the tracks are of images.
+    standstill : Standstill or None
+        Where the body stands still, once that is decided.
     """
 
     sequence: Sequence
@@ -60,6 +63,7 @@ class Dataset:
     implausible: tuple[Implausible, ...] = ()
     held_out: Sequence | None = None
     strip: Strip | None = None
+    standstill: Standstill | None = None
 
 
 def require_usable(dataset: Dataset) -> None:
