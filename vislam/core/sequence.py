@@ -148,12 +148,16 @@ class Sequence:
 
     def first(self, frames: int) -> "Sequence":
         """Return the sequence of the first frames only, of all if these are fewer."""
-        frames = min(frames, len(self))
-        rows = slice(0, int(self.offset[frames]))
+        return self.part(0, frames)
+
+    def part(self, begin: int, end: int) -> "Sequence":
+        """Return the sequence of the frames from ``begin`` to before ``end`` only, as far as there are."""
+        end = min(end, len(self))
+        rows = slice(int(self.offset[begin]), int(self.offset[end]))
         return replace(
             self,
-            stamp=self.stamp[:frames],
-            offset=self.offset[: frames + 1],
+            stamp=self.stamp[begin:end],
+            offset=self.offset[begin : end + 1] - self.offset[begin],
             track=self.track[rows],
             pixels=self.pixels[rows],
             row=self.row[rows],

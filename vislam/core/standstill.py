@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vislam.base.arrays import immutable
+from vislam.base.arrays import immutable, runs
 from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray
 from vislam.core.rigid_fit import FEWEST, robust_scale, robust_weight
@@ -109,12 +109,6 @@ def _steady(sequence: Sequence, noise: ImuNoise) -> BoolArray:
 def _windows(values: Array, count: int) -> Array:
     """Sums ``(n - count + 1, m)`` over windows of rows ``(n, m)``."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, count, axis=0).sum(axis=-1))
-
-
-def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """First and one behind the last index of each run of a mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int64)))
-    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from vislam.core.sequence import Sequence
 from vislam.initialisation.alignment import align
 from vislam.initialisation.refinement import refine
 from vislam.initialisation.settings import InitialisationSettings
-from vislam.initialisation.window import window_of
+from vislam.initialisation.window import Window, window_of
 from vislam.models.imu import ImuNoise
 
 _STEP, _MOST = 2.0**0.5, 100.0
@@ -36,6 +36,11 @@ def noise_factor(
     """
     settings = InitialisationSettings() if settings is None else settings
     window = window_of(sequence, seconds=settings.windows[-1], most=settings.most_frames, step=settings.step)
+    return factor_over(window, noise, settings)
+
+
+def factor_over(window: Window, noise: ImuNoise, settings: InitialisationSettings) -> float:
+    """Return the same over a window, which has four steps or more."""
     aligned = align(window, noise)
     factor = 1.0
     while factor < _MOST and refine(window, aligned, scaled(noise, factor), settings).variance_factor > 1.0:
