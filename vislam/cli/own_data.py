@@ -44,6 +44,8 @@ _FAST = 95.0
 _KNOWN = 1e-3
 """Prior standard deviation of the bias of such a velocity [m/s]: it is beyond its noise already."""
 _GYRO = 3
+_WIDER = 2.0
+"""The intervals come from the recording's own blocks; a prior is held so many times wider."""
 
 
 @dataclass(frozen=True)
@@ -156,12 +158,7 @@ def _without_velocity(
         if dotted in found:
             settings.put(tree, dotted, found[dotted])
     settings.put(tree, "data.repair", {"disparity": True, "consensus": True, "duplicated_tracks": False})
-    default = configuration.NoiseConfig()
-    of_gyro = {
-        "twist_density": found.get("noise.twist_density", default.twist_density)[:_GYRO],
-        "bias_mean": found.get("noise.bias_mean", default.bias_mean)[:_GYRO],
-        "bias_sigma": found.get("noise.bias_sigma", default.bias_sigma)[:_GYRO],
-    }
+    of_gyro = _of_gyro(result)
     turning, moving = _unknowing_densities(sequence)
     if not gyro:
         of_gyro = {
@@ -173,6 +170,25 @@ def _without_velocity(
     settings.put(tree, "noise.bias_mean", [*of_gyro["bias_mean"], 0.0, 0.0, 0.0])
     settings.put(tree, "noise.bias_sigma", [*of_gyro["bias_sigma"], _KNOWN, _KNOWN, _KNOWN])
     return tree
+
+
+def _of_gyro(result: Inspection) -> dict[str, Any]:
+    """Noise of the angular velocity as it was measured, else as by default: density, bias and its prior."""
+    default = configuration.NoiseConfig()
+    measured = {one.name: one for finding in result.findings for one in finding.measured}
+    density, biases = measured.get("gyro density"), [measured.get(f"gyro bias {axis}") for axis in "xyz"]
+    found = {**result.settings, **result.proposal}
+    out = {
+        name: found.get(f"noise.{name}", getattr(default, name))[:_GYRO]
+        for name in ("twist_density", "bias_mean", "bias_sigma")
+    }
+    if density is not None:
+        out["twist_density"] = (float(f"{density.value:.3g}"),) * _GYRO
+    told = [one for one in biases if one is not None and np.isfinite(one.sigma)]
+    if len(told) == _GYRO:
+        out["bias_mean"] = tuple(float(f"{one.value:.3g}") for one in told)
+        out["bias_sigma"] = tuple(float(f"{max(_WIDER * one.sigma, _KNOWN):.3g}") for one in told)
+    return out
 
 
 def _unknowing_densities(sequence: Sequence) -> tuple[float, float]:

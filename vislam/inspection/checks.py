@@ -15,6 +15,7 @@ from vislam.core.sequence import Sequence
 from vislam.evaluation.held_out import hold_out
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
+from vislam.inspection.inertia import check_inertia, takes_raw_inertia
 from vislam.inspection.lever_arm import check_lever_arm
 from vislam.inspection.rates import check_rate_axes
 from vislam.inspection.shared_errors import check_shared_errors
@@ -90,7 +91,15 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
     book.enter(tracks.check_seen_again(uncut, kept=config.data.landmarks.kept))
     cut = Interruptions().apply(uncut)
     few = book.enter(*tracks.check_track_counts(cut))
-    _check_motion(_as_configured(Disparity().apply(cut), repair), config, book)
+    plausible = _as_configured(Disparity().apply(cut), repair)
+    if plausible.imu is not None:
+        configured = mounting.mounted(plausible, mounting.configured(repair))
+        for finding, series in check_inertia(configured, config):
+            book.enter(finding, series)
+    if takes_raw_inertia(plausible, config):
+        _check_tracks(plausible, config, book)
+    else:
+        _check_motion(plausible, config, book)
     found = _checked_repairs(sequence, repair, book.found)
     if few.verdict in ("fault", "unclear"):
         # What all others rest on goes first.
@@ -186,6 +195,28 @@ def _check_motion(cut: Sequence, config: Config, book: _Book) -> None:
     book.enter(pixels.check_moving(voted, consensus=repair.consensus is not None))
 
 
+def _check_tracks(cut: Sequence, config: Config, book: _Book) -> None:
+    """Check the noise of the tracks by themselves, where no twist predicts their motion."""
+    voted = Consensus().apply(replace(cut, twist=np.zeros_like(cut.twist)))
+    agreed = SingleObservations().apply(voted)
+    fits = rigid_fits(agreed, continuations(agreed))
+    if len(fits) < _FEWEST_FRAMES:
+        return
+    _check_pixels(agreed, fits, config, book)
+    book.enter(pixels.check_moving(voted, consensus=config.data.repair.consensus is not None))
+
+
+def _check_pixels(sequence: Sequence, fits: dict[int, RigidFit], config: Config, book: _Book) -> None:
+    """Check the noise levels of the tracks."""
+    noise = config.noise
+    book.enter(
+        *pixels.check_pixel_noise(
+            sequence, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px
+        )
+    )
+    book.enter(stereo.check_match(sequence, fits, matching_bias_px=noise.matching_bias_px))
+
+
 def _levelled(third: Finding, repair: RepairConfig) -> bool:
     """Whether the third velocity component is to be read as the vertical velocity."""
     path = "data.repair.navigation_frame_velocity"
@@ -224,12 +255,7 @@ def _check_levels(sequence: Sequence, fits: dict[int, RigidFit], config: Config,
     white = book.enter(
         motion.check_inertial_noise(sequence, density=noise.twist_density, seen=(sequence, steps))
     )
-    book.enter(
-        *pixels.check_pixel_noise(
-            sequence, fits, pixel_sigma_px=noise.pixel_sigma_px, drift_px=noise.drift_px
-        )
-    )
-    book.enter(stereo.check_match(sequence, fits, matching_bias_px=noise.matching_bias_px))
+    _check_pixels(sequence, fits, config, book)
     measured = {**white.settings, **white.proposal}
     book.enter(
         *check_shared_errors(

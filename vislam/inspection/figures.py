@@ -38,7 +38,7 @@ _TOLD = {
 OF_CHECKS = {
     "tracks": ("duplicated tracks", "tracks", "observations"),
     "motion": ("biases", "inertial noise", "third velocity component", "units"),
-    "checks": ("axes and extrinsic", "clock", "stereo scale", "disparity offset", "pixel noise"),
+    "checks": ("axes and extrinsic", "clock", "imu clock", "stereo scale", "disparity offset", "pixel noise"),
     "shared": ("shared errors",),
 }
 """Checks whose evidence each figure shows."""

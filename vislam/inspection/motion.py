@@ -12,7 +12,7 @@ from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
 from vislam.repair import RepairConfig
 
 _AXES = "xyz"
-_LAGS_S = np.arange(-0.2, 0.2001, 0.005)
+LAGS_S = np.arange(-0.2, 0.2001, 0.005)
 _BLOCKS = 12
 _COLUMNS = [0, 1, 2, 3, 3]
 _BOTH, _TURNS = slice(0, 4), slice(0, 3)
@@ -80,12 +80,12 @@ def check_clock(
     if len(steps.frame) < _FEWEST_CHANGES:
         text = f"only {len(steps.frame)} steps without a gap show the camera's motion"
         return Finding("clock", "unclear", text, unknown={"data.repair.clock": text}), {}
-    cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in _LAGS_S])
-    whole, error = _best_lag(cost[:, :, _BOTH].sum(axis=2))
+    cost = np.array([_mismatch(sequence, steps, float(lag), noise=noise, period=period) for lag in LAGS_S])
+    whole, error = best_lag(cost[:, :, _BOTH].sum(axis=2))
     measured = Measured.around("clock offset", "s", whole, sigma=error)
-    series = {"clock_lag": _LAGS_S, "clock_cost": cost[:, :, _BOTH].sum(axis=2).mean(axis=1)}
+    series = {"clock_lag": LAGS_S, "clock_cost": cost[:, :, _BOTH].sum(axis=2).mean(axis=1)}
     now = 0.0 if repair.clock is None else repair.clock.offset
-    if error > _CLOCK_UNCLEAR_S or abs(whole) > _LAGS_S[-3]:
+    if error > _CLOCK_UNCLEAR_S or abs(whole) > LAGS_S[-3]:
         text = f"the sequence does not determine the clock offset: {measured}, configured is {now:g} s"
         return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
     turns, speed = _contradicting(cost)
@@ -95,24 +95,48 @@ def check_clock(
             f"proposed; configured is {now:g} s"
         )
         return Finding("clock", "unclear", text, (measured,), unknown={"data.repair.clock": text}), series
+    return judged_clock("clock", whole, error, now=now), series
+
+
+def judged_clock(check: str, whole: float, error: float, *, now: float, explained: bool = True) -> Finding:
+    """Finding on an offset of the inertial stamps.
+
+    Parameters
+    ----------
+    check : str
+        Its name.
+    whole, error : float
+        Offset and its standard deviation [s].
+    now : float
+        As configured [s].
+    explained : bool
+        Whether at that offset the inertial data follow the camera at all.
+    """
+    measured = Measured.around("clock offset", "s", whole, sigma=error)
+    if not explained or error > _CLOCK_UNCLEAR_S:
+        reason = "" if explained else ", at no offset do the inertial data follow the camera"
+        text = (
+            f"the sequence does not determine the clock offset: {measured}{reason}, configured is {now:g} s"
+        )
+        return Finding(check, "unclear", text, (measured,), unknown={"data.repair.clock": text})
     off = abs(whole - now)
     if off > _CLOCK_FAULT_S and off > 4.0 * error:
         text = f"the inertial stamps are late by {measured}, configured is {now:g} s"
         proposal = {"data.repair.clock": {"offset": round(whole, 3)}}
-        return Finding("clock", "fault", text, (measured,), proposal=proposal), series
-    return Finding("clock", "ok", f"{measured}, configured is {now:g} s", (measured,)), series
+        return Finding(check, "fault", text, (measured,), proposal=proposal)
+    return Finding(check, "ok", f"{measured}, configured is {now:g} s", (measured,))
 
 
 def _contradicting(cost: Array) -> tuple[float, float | None]:
     """Lag that the rates ask for, and that of the speed if it is another, whatever the camera's scale."""
-    turns, error = _best_lag(cost[:, :, _TURNS].sum(axis=2))
-    speeds = [_best_lag(cost[:, :, part].sum(axis=2)) for part in _SPEEDS]
+    turns, error = best_lag(cost[:, :, _TURNS].sum(axis=2))
+    speeds = [best_lag(cost[:, :, part].sum(axis=2)) for part in _SPEEDS]
     told = max(error, *(one for _, one in speeds)) <= _CLOCK_UNCLEAR_S
     off = all(abs(turns - speed) > 4.0 * np.hypot(error, one) for speed, one in speeds)
     return turns, speeds[0][0] if told and off else None
 
 
-def _best_lag(cost: Array) -> tuple[float, float]:
+def best_lag(cost: Array) -> tuple[float, float]:
     """Lag of the least mean of a cost ``(l, m)`` of each step at each lag, and its standard deviation."""
     blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
     left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
@@ -127,8 +151,8 @@ def _without_gaps(sequence: Sequence, steps: VisionSteps) -> VisionSteps:
     at, usual = sequence.inertial_stamp, float(np.median(np.diff(sequence.inertial_stamp)))
     frame_step = np.diff(sequence.stamp, prepend=-np.inf)[steps.frame]
     wide = np.flatnonzero(np.diff(at) > _GAP * usual)
-    first = np.searchsorted(at[wide + 1], sequence.stamp[steps.frame] - frame_step + _LAGS_S[0])
-    last = np.searchsorted(at[wide], sequence.stamp[steps.frame] + _LAGS_S[-1])
+    first = np.searchsorted(at[wide + 1], sequence.stamp[steps.frame] - frame_step + LAGS_S[0])
+    last = np.searchsorted(at[wide], sequence.stamp[steps.frame] + LAGS_S[-1])
     kept = (frame_step <= _GAP * float(np.median(np.diff(sequence.stamp)))) & (first >= last)
     return VisionSteps(steps.frame[kept], steps.twist[kept], steps.sigma[kept])
 
@@ -177,9 +201,9 @@ def _lowest(curve: Array) -> float:
     """Lag of the lowest value, by the parabola through the points around it."""
     at = int(np.argmin(curve))
     near = slice(max(0, at - 6), min(len(curve), at + 7))
-    bend, slope, _ = np.polyfit(_LAGS_S[near] - _LAGS_S[at], curve[near], 2)
+    bend, slope, _ = np.polyfit(LAGS_S[near] - LAGS_S[at], curve[near], 2)
     shift = 0.0 if bend <= 0 else -slope / (2.0 * bend)
-    return float(_LAGS_S[at] + np.clip(shift, -0.03, 0.03))
+    return float(LAGS_S[at] + np.clip(shift, -0.03, 0.03))
 
 
 def check_inertial_noise(

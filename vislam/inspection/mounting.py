@@ -23,10 +23,10 @@ _SMALLEST_DISPARITY = 3.0
 _WORST_PX = 50.0
 _FEWEST = 4
 """Fewest pairs that make a frame's median."""
-_MARGIN = 1.1
+MARGIN = 1.1
 """A reading that leaves less than this many times the error of another is not told from it."""
 _SAME_DEG = 0.05
-_NEAR_DEG = 3.0
+NEAR_DEG = 3.0
 """The velocity may point beside the body's axis by a degree: readings that differ less are not told apart."""
 _NOTHING_FITS_PX = 10.0
 _SMALLEST_FLOW_PX = 1.0
@@ -196,9 +196,9 @@ def _rivals(ranking: Ranking, own: Candidate) -> list[Candidate]:
     return [
         candidate
         for index, candidate in enumerate(ranking.everyone)
-        if score[index] < _MARGIN * score[at]
-        or not _clearly_better(logarithm[at], logarithm[index])
-        or (candidate == own and ranking.apart_deg(candidate, leader) < _NEAR_DEG)
+        if score[index] < MARGIN * score[at]
+        or not clearly_better(logarithm[at], logarithm[index])
+        or (candidate == own and ranking.apart_deg(candidate, leader) < NEAR_DEG)
     ]
 
 
@@ -252,7 +252,7 @@ def extrinsic_setting(reading: Candidate) -> dict[str, str] | None:
     return {"rotation": reading.rotation, "translation": reading.translation}
 
 
-def _clearly_better(one: Array, other: Array) -> bool:
+def clearly_better(one: Array, other: Array) -> bool:
     """Whether the first series of log errors is lower by many standard deviations of its block means."""
     difference = other - one
     blocks = np.array([part.mean() for part in np.array_split(difference, max(2, len(difference) // _BLOCK))])

@@ -1,0 +1,143 @@
+"""Faults of raw inertia, each planted in a simulated drive and found, and none found where there is none."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vislam.comparison import config as configuration
+from vislam.comparison.open import open_dataset
+from vislam.core.imu import ImuSeries
+from vislam.geometry import se3, so3
+from vislam.inspection import inspect_sequence
+from vislam.inspection.checks import unrepaired
+from vislam.inspection.inertia import check_inertia
+from vislam.repair.pixels import Disparity
+from vislam.repair.tracks import Interruptions
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+CYCLE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""Samples as a driver writes that puts the second axis first."""
+
+
+def changed(sequence, **parts):
+    return replace(sequence, imu=replace(sequence.imu, **parts))
+
+
+def both(sequence, matrix):
+    imu = sequence.imu
+    return changed(sequence, gyro=imu.gyro @ matrix.T, accel=imu.accel @ matrix.T)
+
+
+def dropped(sequence, share=0.05):
+    imu = sequence.imu
+    kept = np.random.default_rng(5).random(len(imu)) > share
+    return replace(sequence, imu=ImuSeries(imu.stamp[kept], imu.gyro[kept], imu.accel[kept]))
+
+
+def saturated(sequence):
+    limit = np.quantile(np.abs(sequence.imu.gyro), 0.95)
+    return changed(sequence, gyro=np.clip(sequence.imu.gyro, -limit, limit))
+
+
+FAULTS = {
+    "g": ("imu units", lambda one: changed(one, accel=one.imu.accel / 9.80665)),
+    "degrees": ("imu units", lambda one: changed(one, gyro=np.degrees(one.imu.gyro))),
+    "permuted axes": ("imu axes", lambda one: both(one, CYCLE)),
+    "turned axes": ("imu axes", lambda one: both(one, np.diag([1.0, -1.0, -1.0]))),
+    "reflected axes": ("imu axes", lambda one: both(one, np.diag([1.0, 1.0, -1.0]))),
+    "flipped gyro": ("imu axes", lambda one: changed(one, gyro=one.imu.gyro * [1.0, 1.0, -1.0])),
+    "permuted accelerometer": ("imu axes", lambda one: changed(one, accel=one.imu.accel @ CYCLE.T)),
+    "late": ("imu clock", lambda one: changed(one, stamp=one.imu.stamp + 0.03)),
+    "early": ("imu clock", lambda one: changed(one, stamp=one.imu.stamp - 0.03)),
+    "saturated": ("imu saturation", saturated),
+    "dropped": ("imu samples", dropped),
+    "gravity": ("imu gravity", lambda one: changed(one, accel=0.88 * one.imu.accel)),
+}
+QUICK = ("degrees", "turned axes", "late")
+"""Tried in the fast suite."""
+ANSWERS = {
+    "permuted axes": lambda found: found.proposal["data.repair.axes"] == {"body": ["y", "z", "x"]},
+    "turned axes": lambda found: found.proposal["data.repair.axes"] == {"body": ["x", "-y", "-z"]},
+    "late": lambda found: abs(found.proposal["data.repair.clock"]["offset"] - 0.03) < 0.01,
+    "degrees": lambda found: abs(found.measured[0].value * np.pi / 180.0 - 1.0) < 0.03,
+}
+
+
+@cache
+def drive(name, seed, frames):
+    """Config of a preset, and its sequence as the checks of raw inertia are given it."""
+    config = configuration.load(CONFIGS / f"{name}.yaml")
+    sequence = open_dataset(unrepaired(config).data, seed=seed).sequence.first(frames)
+    return config, Disparity().apply(Interruptions().apply(sequence))
+
+
+def checked(name, *, seed=1, frames=90, plant=lambda one: one):
+    """Findings by their check."""
+    config, sequence = drive(name, seed, frames)
+    return {finding.check: finding for finding, _ in check_inertia(plant(sequence), config)}
+
+
+def faults(found):
+    return {check for check, finding in found.items() if finding.verdict == "fault"}
+
+
+@pytest.mark.parametrize(
+    "fault", [pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in FAULTS]
+)
+def test_a_planted_fault_is_found_and_no_other(fault):
+    check, plant = FAULTS[fault]
+    found = checked("euroc_like", plant=plant)
+    assert faults(found) == {check}, {name: one.text for name, one in found.items()}
+    assert ANSWERS.get(fault, lambda finding: True)(found[check]), found[check]
+
+
+def test_a_clean_drive_has_no_fault():
+    found = checked("euroc_like")
+    assert not faults(found)
+    assert {found[name].verdict for name in ("imu units", "imu clock", "imu axes", "imu first state")} == {
+        "ok"
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("name", ["euroc_like", "car_like"])
+def test_planted_faults_on_whole_drives_of_either_kind(name, seed):
+    assert not faults(checked(name, seed=seed, frames=200))
+    for check, plant in FAULTS.values():
+        assert faults(checked(name, seed=seed, frames=200, plant=plant)) == {check}
+
+
+def test_a_camera_that_is_turned_by_some_degrees_is_found():
+    def turned(sequence):
+        off = se3.from_rotation_translation(so3.exp(np.array([0.0, 0.0, np.deg2rad(5.0)])), np.zeros(3))
+        return replace(sequence, rig=replace(sequence.rig, imu_T_cam=off @ sequence.rig.imu_T_cam))
+
+    found = checked("euroc_like", plant=turned)["imu axes"]
+    assert found.verdict == "fault"
+    turn = np.linalg.norm([one.value for one in found.measured])
+    assert turn == pytest.approx(5.0, abs=0.5)
+
+
+def test_without_a_camera_that_shows_its_motion_nothing_is_told():
+    def blind(sequence):
+        return sequence.select(np.zeros(sequence.observations, bool))
+
+    found = checked("euroc_like", plant=blind)
+    assert {found[name].verdict for name in ("imu clock", "imu axes", "imu gravity", "imu noise")} == {
+        "unclear"
+    }
+
+
+def test_the_written_config_has_the_densities_and_the_motion_of_a_recording_without_velocity():
+    config, sequence = drive("euroc_like", 1, 90)
+    bare = replace(sequence, twist=np.zeros_like(sequence.twist))
+    noise = replace(config.noise, imu=replace(config.noise.imu, gyro_density=1e-5, accel_density=1e-4))
+    result = inspect_sequence(bare, replace(config, noise=noise, motion="odometry"))
+    assert result.finding("imu noise").verdict == "fault"
+    assert result.proposal["noise.imu.gyro_density"] > 5e-5
+    assert result.settings["motion"] == "imu"
+    assert "third velocity component" not in {finding.check for finding in result.findings}
