@@ -278,8 +278,8 @@ def test_intervals_cover_what_was_planted_about_as_often_as_they_say():
     assert np.mean(levels) == pytest.approx(PLANTED["noise.matching_bias_px"], rel=0.15)
 
 
-def test_noise_of_raw_inertia_is_not_calibrated_and_says_so():
+def test_raw_inertia_that_is_not_there_says_so():
     dataset = simulated(1, frames=4)
     config = Config(name="a", data=DataConfig(file="x.npz"), motion="imu")
-    with pytest.raises(ConfigError, match="motion: expected odometry"):
-        calibrate(config, dataset, parameters())
+    with pytest.raises(ConfigError, match="needs an accelerometer and a gyro"):
+        calibrate(config, dataset, parameters(config))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vislam.base.errors import ConfigError, DivergedError
+from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray
 from vislam.base.workers import Workers
 from vislam.calibration.candidates import Candidate, chosen_of, left_out_points, score_candidates
@@ -19,10 +19,12 @@ from vislam.calibration.search import ROUNDS, Maximum, Round, maximise
 from vislam.calibration.shared import with_priors, with_shared, without_shared
 from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
 from vislam.comparison.config import Config
+from vislam.comparison.inertia import started
 from vislam.comparison.open import Dataset, require_usable
 from vislam.core.run import Run
 from vislam.core.step import TWIST_BIAS
 from vislam.evaluation.shared_errors import EstimatedError, estimated_errors
+from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS
 
 _log = logging.getLogger("vislam.calibration")
 _CHOICES = 3
@@ -69,8 +71,8 @@ class Calibration:
         What is to be written: the best candidate, or the config from before.
     parameters : list of Calibrated
     bias, bias_sigma : (6,)
-        Twist bias over the sequence by the filter, and its standard deviation [rad/s, m/s]. No prior is made
-        of them.
+        Bias of the twist, or of gyro and accelerometer, over the sequence by the filter, and its standard
+        deviation [rad/s, m/s or m/s^2]. No prior is made of them.
     shared : list of EstimatedError
         Errors that all tracks share, by the filter.
     standstill : Standstill
@@ -134,7 +136,7 @@ def calibrate(
     Raises
     ------
     ConfigError
-        If the model of motion is raw inertia, of which nothing is calibrated here.
+        If the model of motion is raw inertia, and the recording has none or does not tell its first state.
     DataError
         If there is nothing to calibrate on.
     DivergedError
@@ -143,16 +145,15 @@ def calibrate(
     """
     if processes < 1:
         raise ValueError(f"processes must be >= 1, got {processes}")
-    if config.motion != "odometry":
-        raise ConfigError(
-            "motion: expected odometry, whose noise is calibrated, got imu; set motion to odometry"
-        )
     for one in (dataset, *also):
         require_usable(one)
+    # One first state for all that is tried: what is compared is the noise.
+    dataset, *also = (started(config, one) for one in (dataset, *also))
     workers = Workers(processes, say=say) if processes > 1 else None
     try:
         others = [Evaluator(one, config, workers) for one in also]
-        rest = UNKNOWN if keep_bias_prior else standstill(dataset.sequence)
+        known = keep_bias_prior or config.motion == "imu"
+        rest = UNKNOWN if known else standstill(dataset.sequence)
         return _calibrate(
             config,
             chosen,
@@ -208,7 +209,8 @@ def _calibrate(
     # The pixel noise that was levelled belongs to each fold, too.
     scale = current.noise.pixel_sigma_px / searched.config.noise.pixel_sigma_px
     last = _steady(current, evaluator, run)
-    bias, shared = last.states[TWIST_BIAS], estimated_errors({last.name: last})
+    bias, bias_sigma = _bias(last)
+    shared = estimated_errors({last.name: last})
     plain = _with_bias(without_shared(current, as_in=config), config, rest)
     candidates = {
         "shared errors known": plain,
@@ -240,8 +242,8 @@ def _calibrate(
     return Calibration(
         config=final,
         parameters=found,
-        bias=bias.value[-1],
-        bias_sigma=bias.sigma[-1],
+        bias=bias,
+        bias_sigma=bias_sigma,
         shared=shared,
         standstill=rest,
         before=before,
@@ -336,8 +338,18 @@ def _steady(config: Config, evaluator: Evaluator, run: Run) -> Run:
 
     Without a random walk that is the maximum of the same likelihood, with the prior of the config.
     """
+    if config.motion == "imu":
+        # Biases of raw inertia do walk, and are those of the last frame.
+        return _finished(evaluator.run(config, usable=~run.gated))
     steady = replace(config, noise=replace(config.noise, bias_walk=(0.0,) * 6))
     return _finished(evaluator.run(steady, usable=~run.gated))
+
+
+def _bias(run: Run) -> tuple[Array, Array]:
+    """Biases ``(6,)`` at the end of a run and their standard deviations."""
+    names = (TWIST_BIAS,) if TWIST_BIAS in run.states else (GYRO_BIAS, ACCEL_BIAS)
+    value = np.concatenate([run.states[name].value[-1] for name in names])
+    return value, np.concatenate([run.states[name].sigma[-1] for name in names])
 
 
 def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:

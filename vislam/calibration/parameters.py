@@ -12,6 +12,8 @@ from vislam.comparison.config import Config, NoiseConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
+_TINY = 1e-12
+"""Logarithms are taken of no less."""
 _GYRO, _FORWARD, _LATERAL, _VERTICAL = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6)
 
 
@@ -32,7 +34,8 @@ class Parameter:
     step : float
         Half the distance of the finite difference, in the searched scale.
     lowest : float
-        Smallest level; a level that ends there is not needed by the data.
+        Smallest level; a level that ends there is not needed by the data. 0: the level is always needed, and
+        stays near where it was where the data do not tell it.
     """
 
     name: str
@@ -45,7 +48,7 @@ class Parameter:
 
     def searched(self, value: float) -> float:
         """Value in the searched scale."""
-        return float(np.log(max(value, self.lowest))) if self.logarithmic else value
+        return float(np.log(max(value, self.lowest, _TINY))) if self.logarithmic else value
 
     def value(self, searched: float) -> float:
         """Value of a point in the searched scale."""
@@ -61,33 +64,37 @@ def parameters(
     ----------
     config : Config, optional
         Where it uses a vertical velocity or a smooth motion of the body, their levels are searched too.
+        With ``motion: imu`` the white noise of gyro and accelerometer takes the place of side slip and heave.
     inertial : bool
         The noise of the gyro and of the forward velocity too. Innovations reach no farther than a track, so
         they cannot tell noise that accumulates from vibration between the samples or an error that all tracks
         share; on recorded sequences that puts the level too high, and the heading then follows the camera.
+        With ``motion: imu`` the random walks of the biases too.
     disparity_offset : bool
         A constant error of all disparities.
     """
+    raw = config is not None and config.motion == "imu"
     found = [
         _pixel("pixel_sigma_px", lowest=0.02),
         _pixel("drift_px", lowest=0.005),
-        _density("lateral", _LATERAL, unit="m/sqrt(s)", lowest=2e-4),
-        _density("vertical", _VERTICAL, unit="m/sqrt(s)", lowest=2e-4),
+        *(_RAW if raw else _ACROSS),
         _of_step("clock", Clock, "offset", unit="s", step=2e-3),
     ]
-    if inertial:
+    if raw and inertial:
+        found += _WALKS
+    elif inertial:
         found += [
             _density("gyro", _GYRO, unit="rad/sqrt(s)", lowest=2e-5),
             _density("forward", _FORWARD, unit="m/sqrt(s)", lowest=2e-4),
         ]
-    if config is not None and config.noise.acceleration_density is not None:
+    if config is not None and not raw and config.noise.acceleration_density is not None:
         found += [
             _acceleration("roll and pitch", slice(0, 2), unit="rad/s/sqrt(s)", lowest=1e-3),
             _acceleration("yaw", slice(2, 3), unit="rad/s/sqrt(s)", lowest=1e-3),
             _acceleration("forward", _FORWARD, unit="m/s/sqrt(s)", lowest=1e-2),
             _acceleration("lateral and vertical", slice(4, 6), unit="m/s/sqrt(s)", lowest=1e-2),
         ]
-    if config is not None and config.noise.vertical_velocity is not None:
+    if config is not None and not raw and config.noise.vertical_velocity is not None:
         found.append(_HEIGHT_WALK)
     if disparity_offset:
         found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=0.02))
@@ -117,6 +124,19 @@ def _density(name: str, part: slice, *, unit: str, lowest: float, of: str = "twi
         return replace(config, noise=_changed(config.noise, {of: tuple(density.tolist())}))
 
     return Parameter(f"noise.{of} ({name})", unit, read, write, True, 0.05, lowest)
+
+
+def _imu(name: str, *, unit: str) -> Parameter:
+    """Level of the noise of raw inertia, which no sensor is without, whatever a camera sees of it."""
+
+    def read(config: Config) -> float:
+        return float(getattr(config.noise.imu, name))
+
+    def write(config: Config, value: float) -> Config:
+        changed: dict[str, Any] = {name: value}
+        return replace(config, noise=_changed(config.noise, {"imu": replace(config.noise.imu, **changed)}))
+
+    return Parameter(f"noise.imu.{name}", unit, read, write, True, 0.05, 0.0)
 
 
 def _changed(noise: NoiseConfig, values: dict[str, Any]) -> NoiseConfig:
@@ -160,6 +180,18 @@ def _height_walk() -> Parameter:
 
 
 _HEIGHT_WALK = _height_walk()
+_ACROSS = (
+    _density("lateral", _LATERAL, unit="m/sqrt(s)", lowest=2e-4),
+    _density("vertical", _VERTICAL, unit="m/sqrt(s)", lowest=2e-4),
+)
+_RAW = (
+    _imu("gyro_density", unit="rad/s/sqrt(Hz)"),
+    _imu("accel_density", unit="m/s^2/sqrt(Hz)"),
+)
+_WALKS = (
+    _imu("gyro_walk", unit="rad/s/sqrt(s)"),
+    _imu("accel_walk", unit="m/s^2/sqrt(s)"),
+)
 MATCH = _pixel("matching_bias_px", lowest=0.02)
 """The stereo-matching bias, not searched but read off the filter (``vislam.calibration.match``)."""
 
@@ -169,7 +201,7 @@ _LARGEST_LOG, _LARGEST_STEPS = 0.7, 10.0
 
 def lowest_of(items: list[Parameter]) -> Array:
     """Bounds ``(p,)`` in the searched scale; minus infinity for an offset."""
-    return np.array([np.log(item.lowest) if item.logarithmic else -np.inf for item in items])
+    return np.array([np.log(item.lowest) if item.lowest > 0.0 else -np.inf for item in items])
 
 
 def largest_of(items: list[Parameter]) -> Array:

@@ -33,6 +33,9 @@ SIGMAS = {
 }
 """What a careful calibration leaves of each [rad, px, px, 1, s, rad]."""
 
+_OF_THE_TWIST = (CLOCK, VELOCITY_DIRECTION)
+"""Errors of a recorded velocity, of which raw inertia makes no use."""
+
 
 def with_shared(config: Config, *, searched: Iterable[str] = ()) -> Config:
     """Config with priors of the shared errors for which it has none, but for those that are searched.
@@ -43,13 +46,14 @@ def with_shared(config: Config, *, searched: Iterable[str] = ()) -> Config:
     searched : iterable of str
         Dotted paths of what is searched: a repair of the same error leaves nothing to estimate.
     """
+    without = _OF_THE_TWIST if config.motion == "imu" else ()
     steps = {path.split(".")[2] for path in searched if path.startswith("data.repair.")}
     return _with(
         config,
         {
             name: sigma
             for name, sigma in SIGMAS.items()
-            if name not in steps and not _sigma(config.noise, name)
+            if name not in steps and name not in without and not _sigma(config.noise, name)
         },
     )
 

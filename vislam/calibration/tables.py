@@ -10,6 +10,7 @@ from vislam.comparison.config import Config
 from vislam.core.shared_residuals import SHARED
 
 _BIASES = ("gyro x", "gyro y", "gyro z", "velocity x", "velocity y", "velocity z")
+_RAW_BIASES = (*_BIASES[:3], "accelerometer x", "accelerometer y", "accelerometer z")
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,12 @@ def _parameters(result: Calibration) -> list[list[str]]:
 
 
 def _biases(result: Calibration, config: Config) -> list[list[str]]:
-    rest, rows = result.standstill, []
-    for index, name in enumerate(_BIASES):
-        unit, before = ("rad/s", "m/s")[index > 2], f"{config.noise.bias_mean[index]:.4g}"
+    rest, rows, raw = result.standstill, [], config.motion == "imu"
+    units = ("rad/s", "m/s^2" if raw else "m/s")
+    for index, name in enumerate(_RAW_BIASES if raw else _BIASES):
+        unit = units[index > 2]
+        # Raw inertia takes its first biases from the first state.
+        before = "" if raw else f"{config.noise.bias_mean[index]:.4g}"
         rows.append([f"bias, {name}", before, *_interval(result.bias[index], result.bias_sigma[index]), unit])
         if rest.known[index]:
             told = _interval(rest.bias[index], rest.sigma[index])

@@ -57,7 +57,8 @@ def trial(config: Config, evaluator: Evaluator) -> Trial:
         return Trial(None, float("nan"), np.full(2, np.nan))
     poses = run.smoothed.world_T_imu
     length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-    inertial = inertial_length(dataset.sequence)
+    # Raw inertia has no path of its own.
+    inertial = 0.0 if config.motion == "imu" else inertial_length(dataset.sequence)
     held = dataset.held_out
     scored = None
     if held is not None and held.observations:

@@ -30,7 +30,11 @@ def _parser() -> Parser:
     add(
         "--out", type=Path, default=Path("calibrated.yaml"), help="config to write (default: calibrated.yaml)"
     )
-    add("--inertial", action="store_true", help="estimate the noise of gyro and forward velocity too")
+    add(
+        "--inertial",
+        action="store_true",
+        help="estimate the noise of gyro and forward velocity too; with motion: imu the walks",
+    )
     add("--disparity-offset", action="store_true", help="estimate a constant error of the disparities too")
     add(
         "--keep-bias-prior",
