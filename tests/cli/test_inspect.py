@@ -76,10 +76,12 @@ def test_a_bare_file_needs_no_config(tmp_path, capsys):
 def test_bad_input_is_one_line_and_2(tmp_path, capsys):
     (tmp_path / "text.npz").write_text("no archive")
     for arguments, message in (
-        ([], "one of --config and --file"),
+        ([], "one of --config, --file and --data"),
         (["--file", str(tmp_path / "none.npz")], "no such file"),
         (["--file", str(tmp_path / "text.npz")], "not a whole npz archive"),
         (["--config", str(tmp_path / "none.yaml")], "cannot be read"),
+        (["--data", str(tmp_path / "none")], "not found"),
+        (["--data", str(tmp_path / "text.npz")], "expected a folder or bag of stereo images"),
     ):
         assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
         said = capsys.readouterr().err

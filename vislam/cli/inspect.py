@@ -13,7 +13,7 @@ from typing import Any
 
 from vislam.base.errors import ConfigError, DataError
 from vislam.cli.command import Parser, add_config_options, answer, begin, overrides
-from vislam.cli.recording import add_choice_options, choice_of, listed
+from vislam.cli.recording import add_choice_options, add_front_end_option, choice_of, listed, located
 from vislam.datasets.bag_topics import Choice
 
 
@@ -28,7 +28,9 @@ def _parser() -> Parser:
     add_config_options(parser, required=False)
     add = parser.add_argument
     add("--file", type=Path, help="a recording in place of a config; its format is told by its content")
+    add("--data", type=Path, help="a recording of stereo images, whose tracks are made first and inspected")
     add_choice_options(parser)
+    add_front_end_option(parser)
     add("--out", type=Path, default=Path("inspection"), help="folder of the results (default: inspection)")
     add("--write-config", type=Path, metavar="FILE", help="write the config with all that is proposed")
     add("--strict", action="store_true", help="exit with 3 if a fault was found")
@@ -36,14 +38,19 @@ def _parser() -> Parser:
 
 
 def _inspect(options: argparse.Namespace) -> int:
-    if (options.config is None) == (options.file is None):
-        raise ConfigError("one of --config and --file must be given")
-    begin(f"inspect {options.config or options.file}")
+    given = [one for one in (options.config, options.file, options.data) if one is not None]
+    if len(given) != 1:
+        raise ConfigError("one of --config, --file and --data must be given")
+    begin(f"inspect {given[0]}")
     from vislam.datasets.images import is_images  # noqa: PLC0415
 
     # A YAML file is a config, unless --file says that it is a list of images.
-    path = options.file or options.config
-    if is_images(path) and (path == options.file or path.suffix not in (".yaml", ".yml")):
+    path = given[0]
+    if (
+        options.data is None
+        and is_images(path)
+        and (path == options.file or path.suffix not in (".yaml", ".yml"))
+    ):
         return _list(path, choice_of(options))
     # Heavy imports follow the parsing, so that --help and a mistyped key answer at once.
     from vislam.base.files import check_writable, write_text  # noqa: PLC0415
@@ -57,7 +64,7 @@ def _inspect(options: argparse.Namespace) -> int:
     from vislam.inspection.written import proposed_config  # noqa: PLC0415
 
     home = None if options.config is None else options.config.parent
-    tree = configuration.read(options.config) if options.config else _tree(options.file, options.data_dir)
+    tree = _tree_of(options)
     for dotted, value in overrides(options).items():
         configuration.put(tree, dotted, value)
     config = configuration.parse(configuration.Config, tree)
@@ -94,6 +101,21 @@ def _inspect(options: argparse.Namespace) -> int:
         write_text(options.write_config, text)
         terminal.note(f"config: {options.write_config}")
     return 3 if options.strict and any(item.verdict == "fault" for item in result.findings) else 0
+
+
+def _tree_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Config of what is inspected, as plain data."""
+    if options.data is not None:
+        from vislam.cli.own_data import tracked_tree  # noqa: PLC0415
+
+        return tracked_tree(
+            located(options.data), out=options.out, choice=choice_of(options), front_end=options.front_end
+        )
+    if options.config is not None:
+        from vislam.comparison import config as configuration  # noqa: PLC0415
+
+        return configuration.read(options.config)
+    return _tree(options.file, options.data_dir)
 
 
 def _list(path: Path, choice: Choice) -> int:

@@ -108,6 +108,29 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
     return path
 
 
+def tracked_tree(data: Path, *, out: Path, choice: Choice, front_end: str) -> dict[str, Any]:
+    """Config, as plain data, that reads the tracks of a recording of images, which are made first.
+
+    Parameters
+    ----------
+    data : Path
+        A recording of stereo images.
+    out : Path
+        Folder that the tracks are copied into.
+    choice : Choice
+        Topics and calibration of a bag, where they are not to be guessed.
+    front_end : str
+        Name of what makes the tracks.
+    """
+    if not data.exists():
+        raise DataError(f"{data}: not found; name a folder of stereo images or a bag")
+    if not (data.is_dir() or is_images(data)):
+        raise DataError(
+            f"{data}: expected a folder or bag of stereo images, got another; use --file for tracks"
+        )
+    return _tracked(open_images(data, choice), front_end, out, Terminal())[0]
+
+
 def _tracked(
     recording: ImageRecording, front_end: str, out: Path, terminal: Terminal
 ) -> tuple[dict[str, Any], _Recorded]:
@@ -140,6 +163,9 @@ def _tracked(
         }
     stated = summary["imu_noise"]
     noise = None if stated is None else ImuNoise(**stated)
+    for name, value in (stated or {}).items():
+        if name != "gravity":
+            settings.put(tree, f"noise.imu.{name}", value)
     levelled, velocity, gyro = (bool(summary[name]) for name in ("levelled", "velocity", "gyro"))
     return tree, _Recorded(levelled, velocity, gyro, noise)
 

@@ -143,8 +143,9 @@ def _how(rest: _Rest | None, factors: list[float], series: ImuSeries) -> str:
 
 
 def _off(found: Measured, configured: float) -> bool:
-    """Whether a level is configured as less than half, or more than twice, of its interval."""
-    return configured * _FACTOR < found.low or configured > _FACTOR * found.high
+    """Whether a level is configured outside of its interval, as less than half or more than twice of it."""
+    small = configured < min(found.low, found.value / _FACTOR)
+    return small or configured > max(found.high, found.value * _FACTOR)
 
 
 def _paths() -> list[str]:
