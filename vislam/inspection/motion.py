@@ -98,7 +98,16 @@ def check_clock(
     return judged_clock("clock", whole, error, now=now), series
 
 
-def judged_clock(check: str, whole: float, error: float, *, now: float, explained: bool = True) -> Finding:
+def judged_clock(
+    check: str,
+    whole: float,
+    error: float,
+    *,
+    now: float,
+    sure: float = 4.0,
+    unclear: float = _CLOCK_UNCLEAR_S,
+    explained: bool = True,
+) -> Finding:
     """Finding on an offset of the inertial stamps.
 
     Parameters
@@ -109,21 +118,25 @@ def judged_clock(check: str, whole: float, error: float, *, now: float, explaine
         Offset and its standard deviation [s].
     now : float
         As configured [s].
+    sure : float
+        Standard deviations by which it must be off to be a fault.
+    unclear : float
+        Standard deviation above which one that is not off may be [s].
     explained : bool
         Whether at that offset the inertial data follow the camera at all.
     """
     measured = Measured.around("clock offset", "s", whole, sigma=error)
-    if not explained or error > _CLOCK_UNCLEAR_S:
+    off, told = abs(whole - now), explained and error <= _CLOCK_UNCLEAR_S
+    if told and off > _CLOCK_FAULT_S and off > sure * error:
+        text = f"the inertial stamps are late by {measured}, configured is {now:g} s"
+        proposal = {"data.repair.clock": {"offset": round(whole, 3)}}
+        return Finding(check, "fault", text, (measured,), proposal=proposal)
+    if not told or error > unclear:
         reason = "" if explained else ", at no offset do the inertial data follow the camera"
         text = (
             f"the sequence does not determine the clock offset: {measured}{reason}, configured is {now:g} s"
         )
         return Finding(check, "unclear", text, (measured,), unknown={"data.repair.clock": text})
-    off = abs(whole - now)
-    if off > _CLOCK_FAULT_S and off > 4.0 * error:
-        text = f"the inertial stamps are late by {measured}, configured is {now:g} s"
-        proposal = {"data.repair.clock": {"offset": round(whole, 3)}}
-        return Finding(check, "fault", text, (measured,), proposal=proposal)
     return Finding(check, "ok", f"{measured}, configured is {now:g} s", (measured,))
 
 
@@ -136,11 +149,19 @@ def _contradicting(cost: Array) -> tuple[float, float | None]:
     return turns, speeds[0][0] if told and off else None
 
 
-def best_lag(cost: Array) -> tuple[float, float]:
-    """Lag of the least mean of a cost ``(l, m)`` of each step at each lag, and its standard deviation."""
+def best_lag(cost: Array, *, depth: float = 0.0) -> tuple[float, float]:
+    """Lag of the least mean of a cost ``(l, m)`` of each step at each lag, and its standard deviation.
+
+    Parameters
+    ----------
+    cost : (l, m)
+    depth : float
+        Share of the depth of a valley that the parabola through its ground is fitted to, 30 ms to either side
+        of the lowest lag at least.
+    """
     blocks = [part for part in np.array_split(np.arange(cost.shape[1]), _BLOCKS) if len(part)]
-    left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1)) for part in blocks])
-    return _lowest(cost.mean(axis=1)), float(np.hypot(jackknife(left_out), _CLOCK_FLOOR_S))
+    left_out = np.array([_lowest(np.delete(cost, part, axis=1).mean(axis=1), depth) for part in blocks])
+    return _lowest(cost.mean(axis=1), depth), float(np.hypot(jackknife(left_out), _CLOCK_FLOOR_S))
 
 
 def _without_gaps(sequence: Sequence, steps: VisionSteps) -> VisionSteps:
@@ -197,10 +218,13 @@ def _noise_of_samples(sequence: Sequence) -> Array:
     return fourth[even] if np.count_nonzero(even) >= _FEWEST_CHANGES else fourth
 
 
-def _lowest(curve: Array) -> float:
+def _lowest(curve: Array, depth: float) -> float:
     """Lag of the lowest value, by the parabola through the points around it."""
     at = int(np.argmin(curve))
-    near = slice(max(0, at - 6), min(len(curve), at + 7))
+    high = np.flatnonzero(curve > curve[at] + depth * np.ptp(curve))
+    first = int(max(high[high < at], default=-1)) + 1
+    last = int(min(high[high > at], default=len(curve)))
+    near = slice(max(0, min(first, at - 6)), min(len(curve), max(last, at + 7)))
     bend, slope, _ = np.polyfit(LAGS_S[near] - LAGS_S[at], curve[near], 2)
     shift = 0.0 if bend <= 0 else -slope / (2.0 * bend)
     return float(LAGS_S[at] + np.clip(shift, -0.03, 0.03))

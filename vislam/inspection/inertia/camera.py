@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-from vislam.core.rigid_fit import FEWEST, RigidFit, continuations, fit_frames, step_spread
+from vislam.core.rigid_fit import FEWEST, Continuations, RigidFit, continuations, fit_frames, step_spread
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3, so3
 
@@ -43,6 +43,10 @@ class CameraRun:
     def joined(self) -> float:
         """Distance of samples up to which a line joins them [s]."""
         return _JOINED * float(np.median(np.diff(self.stamp)))
+
+    def spanning(self, frames: int) -> tuple[Array, Array]:
+        """First and last stamp ``(m,)`` of all stretches of so many steps."""
+        return self.stamp[:-frames], self.stamp[frames:]
 
     def rotations(self, time: Array) -> Array:
         """Rotations ``first_R_t (s, 3, 3)`` at times ``(s,)`` of the run, even between frames."""
@@ -105,6 +109,46 @@ def _steps(sequence: Sequence) -> dict[int, Array]:
         if _explains(fit, float(np.median(flow))):
             found[k] = fit.next_T_prev
     return found
+
+
+def turns_over(sequence: Sequence, run: CameraRun, frames: int) -> Array:
+    """Turns ``prev_R_next (m, 3, 3)`` of a run over stretches of so many steps, each by a fit of its own.
+
+    Tracks that go on over a stretch tell its turn as well as that of one step, and far better than the
+    product of its steps. NaN where too few do.
+    """
+    first, last = run.frame[:-frames], run.frame[frames:]
+    chained = se3.inverse(run.pose[frames:]) @ run.pose[:-frames]
+    pairs = _apart(sequence, frames)
+    enough = np.diff(pairs.start)[last] >= FEWEST
+    z = sequence.z
+    fits = fit_frames(
+        sequence.rig,
+        sequence.rig.back_project(z),
+        z,
+        pairs=pairs,
+        frames=last[enough],
+        spread=step_spread(sequence.disparity),
+        guess=chained[enough],
+    )
+    out = np.full((len(first), 3, 3), np.nan)
+    for at, fit in zip(np.flatnonzero(enough), fits, strict=True):
+        out[at] = fit.next_T_prev[:3, :3].T
+    return out
+
+
+def _apart(sequence: Sequence, frames: int) -> Continuations:
+    """Pairs of observations of one track so many frames apart."""
+    many = len(sequence) + frames
+    key = sequence.track * many + sequence.frame_of
+    order = np.argsort(key)
+    place = np.minimum(np.searchsorted(key[order], key + frames), len(key) - 1)
+    before = np.flatnonzero(key[order][place] == key + frames)
+    after = order[place[before]]
+    by_frame = np.argsort(sequence.frame_of[after], kind="stable")
+    before, after = before[by_frame], after[by_frame]
+    start = np.searchsorted(sequence.frame_of[after], np.arange(len(sequence) + 1))
+    return Continuations(before, after, start)
 
 
 def _explains(fit: RigidFit, flow: float) -> bool:

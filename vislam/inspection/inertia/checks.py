@@ -13,6 +13,7 @@ from vislam.inspection.finding import Finding
 from vislam.inspection.inertia import axes, levels, noise, samples, start, turns, units
 from vislam.inspection.inertia.camera import CameraRun, camera_runs
 from vislam.inspection.inertia.forces import Forces, fall
+from vislam.inspection.inertia.integrals import Integral
 from vislam.inspection.motion import LAGS_S, judged_clock
 from vislam.models.imu import ImuNoise
 
@@ -22,6 +23,8 @@ _ON_AXES = ("imu gravity", "imu biases", "imu noise", "imu first state")
 _SEEN = ("imu clock", "imu axes", "imu gravity", "imu biases")
 _NOTHING = 1e-6
 """Largest velocity that is none [m/s]."""
+_CLOCK = {"sure": 3.0, "unclear": 0.0075}
+"""Standard deviations that make a fault of the clock, and the one with which 15 ms are not excluded [s]."""
 _EXPLAINED, _EDGE = 0.5, 0.95
 """Share of the variance that a clock explains, and of the lags that are tried within which it lies."""
 
@@ -67,7 +70,7 @@ def _against_tracks(
 ) -> tuple[list[Finding], dict[str, Array]]:
     """Check what takes the camera's own motion to see, as far as that is seen."""
     runs = camera_runs(sequence)
-    seen = turns.Turns.of(series, runs, clock_offset=sequence.clock_offset)
+    seen = turns.Turns.of(series, sequence, runs, clock_offset=sequence.clock_offset)
     if len(seen) < _FEWEST_STEPS:
         text = f"only {len(seen)} steps with samples all around them show the camera's motion"
         unit, _, _ = units.check_units(series, None)
@@ -98,10 +101,10 @@ def _against_camera(
     # As configured is what is right, where the turns do not tell it.
     inside = abs(lag - sequence.clock_offset) < _EDGE * LAGS_S[-1]
     explained = turning.correlation > _EXPLAINED and inside
-    clock = judged_clock("imu clock", lag, sigma, now=sequence.clock_offset, explained=explained)
+    clock = judged_clock("imu clock", lag, sigma, now=sequence.clock_offset, explained=explained, **_CLOCK)
     offset = lag if clock.verdict == "fault" else sequence.clock_offset
     scaled = replace(series, gyro=series.gyro / by_rate, accel=series.accel / by_force)
-    seen = turns.Turns.of(scaled, runs, clock_offset=sequence.clock_offset)
+    seen = replace(seen, gyro=Integral(scaled.stamp, scaled.gyro))
     lever = sequence.rig.cam_T_imu[:3, 3]
     forces = Forces.of(scaled, runs, lever=lever, clock_offset=offset)
     settings = InitialisationSettings()

@@ -12,6 +12,7 @@ from vislam.initialisation import InitialisationSettings, NotFoundError
 from vislam.initialisation.alignment import align
 from vislam.initialisation.noise import factor_over
 from vislam.initialisation.plausible import check_gravity
+from vislam.initialisation.refinement import refine
 from vislam.initialisation.window import window_of
 from vislam.inspection.finding import Finding, Measured
 from vislam.inspection.inertia.allan import Allan, allan
@@ -26,6 +27,8 @@ _SKIPPED = 1.5
 _WINDOWS = 3
 """Parts of a recording over which samples and tracks are held against each other, as at its beginning."""
 _FEWEST_STEPS = 4
+_REDUNDANCY, _SURE = 6, 3.0
+"""Of a step that is told; standard deviations by which a sum of squares is too large to be chance."""
 _FACTOR = 2.0
 """White noise that is too small, or too large, by more is a fault."""
 _REFUTED = 5.0
@@ -205,11 +208,15 @@ def _factors(sequence: Sequence, noise: ImuNoise) -> list[float]:
         told = np.count_nonzero(window.told)
         if told < max(_FEWEST_STEPS, settings.covered * len(window)) or window.covered < settings.covered:
             continue
+        aligned = align(window, noise)
         try:
-            check_gravity(align(window, noise), noise)
+            check_gravity(aligned, noise)
         except NotFoundError:
             continue
-        found.append(factor_over(window, noise, settings))
+        # Half of all recordings whose noise is right have residuals that are a little too large.
+        scatter = np.sqrt(2.0 / (_REDUNDANCY * told))
+        ratio = refine(window, aligned, noise, settings).variance_factor
+        found.append(factor_over(window, noise, settings) if ratio > 1.0 + _SURE * scatter else 1.0)
     return found
 
 

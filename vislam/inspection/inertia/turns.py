@@ -15,15 +15,20 @@ import numpy as np
 
 from vislam.base.types import Array, BoolArray
 from vislam.core.imu import ImuSeries
+from vislam.core.sequence import Sequence
 from vislam.geometry import so3
 from vislam.inspection.finding import Measured, jackknife
-from vislam.inspection.inertia.camera import CameraRun
+from vislam.inspection.inertia.camera import CameraRun, turns_over
 from vislam.inspection.inertia.integrals import Integral, covered
 from vislam.inspection.motion import LAGS_S, best_lag
 
+_SPAN_S, _SMALL = 0.3, 0.06
+"""A stretch is that long at most, and turns by that much at most, root mean square [s, rad]."""
 _ITERATIONS = 6
 _BLOCKS = 12
 _CLIPPED = 4.0
+_DEPTH = 0.2
+"""Of the valley of the cost; a car that turns gently has a wide one, whose lowest point is noise."""
 _SCALE_FLOOR = 0.005
 """Noise of the points that a step is fitted to makes it shorter by about so much."""
 _TOLD = 0.05
@@ -50,16 +55,25 @@ class Turns:
     gyro: Integral
 
     @classmethod
-    def of(cls, series: ImuSeries, runs: list[CameraRun], *, clock_offset: float) -> "Turns":
-        """Steps around which the samples are complete, at all lags that are tried around an offset [s]."""
-        begin = np.concatenate([np.zeros(0), *(run.stamp[:-1] for run in runs)])
-        end = np.concatenate([np.zeros(0), *(run.stamp[1:] for run in runs)])
-        steps = [so3.log(_relative(run.pose[:, :3, :3])) / np.diff(run.stamp)[:, None] for run in runs]
-        seen = np.concatenate([np.zeros((0, 3)), *steps])
+    def of(
+        cls, series: ImuSeries, sequence: Sequence, runs: list[CameraRun], *, clock_offset: float
+    ) -> "Turns":
+        """Stretches around which the samples are complete, at all lags that are tried around an offset [s].
+
+        They are as long as a turn is small over them, so that its logarithm is the mean rate.
+        """
+        frames = _frames(runs)
+        runs = [run for run in runs if len(run.frame) > frames]
+        ends = [run.spanning(frames) for run in runs]
+        begin = np.concatenate([np.zeros(0), *(one for one, _ in ends)])
+        end = np.concatenate([np.zeros(0), *(one for _, one in ends)])
+        turns = np.concatenate([np.zeros((0, 3, 3)), *(turns_over(sequence, run, frames) for run in runs)])
         longest = max((run.joined for run in runs), default=0.0)
         around = begin + clock_offset + LAGS_S[0], end + clock_offset + LAGS_S[-1]
-        kept = covered(series, *around, longest=longest)
-        return cls(begin[kept], end[kept], seen[kept], Integral(series.stamp, series.gyro))
+        kept = covered(series, *around, longest=longest) & np.isfinite(turns).all(axis=(1, 2))
+        begin, end = begin[kept], end[kept]
+        seen = so3.log(turns[kept]) / (end - begin)[:, None]
+        return cls(begin, end, seen, Integral(series.stamp, series.gyro))
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -71,8 +85,16 @@ class Turns:
         return np.asarray(whole / (self.end - self.begin)[:, None])
 
 
-def _relative(rotation: Array) -> Array:
-    return np.asarray(rotation[:-1].transpose(0, 2, 1) @ rotation[1:])
+def _frames(runs: list[CameraRun]) -> int:
+    """Steps of a stretch: one where the camera turns fast."""
+    if not runs:
+        return 1
+    step = float(np.median(np.concatenate([np.diff(run.stamp) for run in runs])))
+    turned = np.concatenate(
+        [so3.log(run.pose[:-1, :3, :3].transpose(0, 2, 1) @ run.pose[1:, :3, :3]) for run in runs]
+    )
+    angle = float(np.sqrt(np.mean(np.sum(turned**2, axis=1))))
+    return max(int(min(_SPAN_S / step, _SMALL / max(angle, 1e-9))), 1)
 
 
 @dataclass(frozen=True)
@@ -125,7 +147,7 @@ def lag_of(turns: Turns, *, around: float) -> tuple[float, float, Array]:
     spread = np.median(np.abs(residual), axis=1)
     least = 1.4826 * spread[np.argmin(spread.sum(axis=1))] + 1e-9
     cost = np.sum(np.minimum(np.abs(residual) / least, _CLIPPED) ** 2, axis=2)
-    lag, sigma = best_lag(cost)
+    lag, sigma = best_lag(cost, depth=_DEPTH)
     return around + lag, sigma, cost.mean(axis=1)
 
 
