@@ -4,6 +4,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from vislam.base.types import BoolArray
+
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
