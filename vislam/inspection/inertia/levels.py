@@ -34,7 +34,7 @@ def check_gravity(found: Fall, *, configured: float) -> Finding:
         return Finding("imu gravity", "unclear", f"not told: {text}", (measured,), unknown=unknown)
     off = abs(value - configured)
     if off > _OFF * configured and off > _SURE * sigma:
-        text = f"{text}: another scale of the accelerometer, of the baseline, or another planet"
+        text = f"{text}: look at the scale of the accelerometer, at the baseline and at the configured value"
         proposal = {"noise.imu.gravity": float(f"{value:.4g}")}
         return Finding("imu gravity", "fault", text, (measured,), proposal=proposal)
     return Finding("imu gravity", "ok", text, (measured,))
