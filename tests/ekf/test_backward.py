@@ -146,9 +146,9 @@ def test_it_is_exact_on_the_recording(options):
 def test_a_stretch_ends_before_it_takes_much_of_the_memory(short: Dataset, short_config: Config):
     """Large steps are dropped a few frames at a time, so that the memory holds for many tracks as well."""
     problem, sigma = make_problem(short_config, short), pixel_sigma(short_config, short)
-    estimator = EkfEstimator(problem, EkfOptions(memory_mb=0.5))
+    estimator = EkfEstimator(problem, EkfOptions(memory_mb=0.35))
     for frame in short.sequence.frames(sigma):
         estimator.process(frame)
     assert estimator._recorder is not None
     assert max(len(stretch.inputs) for stretch in estimator._recorder._stretches[-2:]) < 8
-    assert estimator._recorder.peak < 1.5 * 0.5e6
+    assert estimator._recorder.peak < 1.5 * 0.35e6

@@ -198,10 +198,8 @@ def filtered_landmarks(state: JointState, slots: IntArray) -> Landmarks:
 
 def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation) -> Landmarks:
     """Smoothed estimates of marginalised landmarks."""
-    n, each = len(left.track), np.arange(len(left.track))
-    error, loss, cross = adjoint.expected(left.rows.reshape(3 * n, left.rows.shape[2]))
-    cov = left.cov - loss.reshape(n, 3, n, 3)[each, :, each]
-    return _landmarks(left, left.q + error.reshape(n, 3), cov, cross.reshape(n, 3, 6), parametrisation)
+    error, loss, cross = adjoint.expected(left.rows)
+    return _landmarks(left, left.q + error, left.cov - loss, cross, parametrisation)
 
 
 def _landmarks(

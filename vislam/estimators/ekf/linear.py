@@ -52,19 +52,22 @@ class Adjoint:
 
         Parameters
         ----------
-        rows : (k, d)
+        rows : (..., k, d)
             Covariance of k quantities, linear in the error, with the whole error.
 
         Returns
         -------
-        mean : (k,)
-        loss : (k, k)
+        mean : (..., k)
+        loss : (..., k, k)
             By how much their covariance is smaller than without later data.
-        cross : (k, 6)
+        cross : (..., k, 6)
             Their covariance with the last pose.
         """
-        found = rows @ self.vectors
-        return found[:, 0], rows @ self.information @ rows.T, found[:, 1:]
+        # As one matrix each, for a product a group of quantities would not keep BLAS busy.
+        flat = rows.reshape(-1, rows.shape[-1])
+        found = (flat @ self.vectors).reshape(*rows.shape[:-1], -1)
+        seen = (flat @ self.information).reshape(rows.shape)
+        return found[..., 0], seen @ np.swapaxes(rows, -1, -2), found[..., 1:]
 
 
 class Step:

@@ -1,6 +1,6 @@
 """The joint state of the filter: mean, covariance, and the steps it has taken."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ class Marginalised(Step):
         Their coordinates.
     anchors : (n, 4, 4)
     rows : (n, 3, d)
-        Covariance of their coordinates with the whole state.
+        Covariance of their coordinates with the state; in a record, with what stays of it.
     cov : (n, 3, 3)
     """
 
@@ -215,11 +215,13 @@ class JointState:
 
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: drop their rows and columns."""
-        if self.steps is not None:
-            self.steps.append(self.marginalised(np.flatnonzero(~mask)))
         step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)]))
+        left = None if self.steps is None else self.marginalised(np.flatnonzero(~mask))
         self.cov = step.forward(self.cov)
         self._note(step)
+        if left is not None:
+            # Later data speak of what has stayed alone, so its columns are all that the backward pass needs.
+            self._note(replace(left, rows=left.rows[:, :, step.rows]))
         self.track, self.anchors = self.track[mask], self.anchors[mask]
         self.landmarks, self.first = self.landmarks[mask], self.first[mask]
         self.seen_at = self.seen_at[mask]
