@@ -160,3 +160,18 @@ def test_points_that_cannot_be_evaluated_are_kept_away_from(rng):
     found = search(failing, [0.0, 0.9])
     assert np.allclose(found.point, [0.4, np.log(2.0)], atol=0.05)
     assert np.isfinite(found.log_likelihood)
+
+
+def test_damped_steps_are_looked_at_only_where_newtons_gains_too_little(rng):
+    sample = normalised(rng, mean=0.4, sigma=2.0)
+    sizes = []
+
+    def counted(points):
+        sizes.append(len(points))
+        return gaussian(sample)(points)
+
+    search(counted, [0.38, np.log(1.9)], tolerance=1e-3)
+    assert set(sizes) == {5, 1}
+    sizes.clear()
+    search(counted, [0.4, np.log(200.0)], largest=np.full(2, 50.0), tolerance=1e-3)
+    assert 2 in sizes

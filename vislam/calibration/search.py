@@ -21,6 +21,8 @@ _log = logging.getLogger("vislam.calibration")
 ROUNDS = 12
 """Rounds of a search, at most."""
 _DAMPING = (0.0, 0.3, 3.0)
+_SHARE = 0.5
+"""Share of the expected gain from which on a step is taken without a look at others."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,12 @@ def maximise(
             np.maximum(point + np.clip(move, -largest, largest), lowest)
             for move in _moves(scores, curvature, free)
         ]
-        values = [float(part.sum()) for part in evaluate(candidates)]
+        # Newton's own step, and the damped ones only where it gains less than half of what it should.
+        move = candidates[0] - point
+        values, should = [float(evaluate(candidates[:1])[0].sum())], _expected(move, scores, curvature)
+        at_maximum = 0.0 <= should < tolerance and bool((np.abs(move) < largest).all())
+        if not (at_maximum or values[0] - here >= max(_SHARE * should, 0.0)):
+            values += [float(part.sum()) for part in evaluate(candidates[1:])]
         choice = int(np.argmax(values))
         gain = values[choice] - here
         _log.info("round %d: log likelihood %.1f, gain %.1f, at %s", rounds, here, gain, np.round(point, 3))
@@ -168,6 +175,11 @@ def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
         move[free] = np.linalg.solve(damped, gradient[free])
         moves.append(move)
     return moves
+
+
+def _expected(move: Array, scores: Array, curvature: Array) -> float:
+    """Gain of a move by the quadratic of gradient and information."""
+    return float(scores.sum(axis=0) @ move - 0.5 * move @ _information(scores, curvature) @ move)
 
 
 def _spread(scores: Array) -> Array:
