@@ -31,11 +31,15 @@ class Told:
         return Final()
 
 
+def no_process(name, usable):
+    raise AssertionError(f"{name} needs no process of its own")
+
+
 def run_all(short: Dataset, short_config, gates_from):
     sigma = pixel_sigma(short_config, short)
     runner = Runner(short.sequence, sigma, 1, Silent(), NoKeeper(), "")
     told = {name: Told(gates=name == "gating") for name in NAMES}
-    runs, interrupted = runner.run_all(told, common_set=None, gates_from=gates_from)
+    runs, interrupted = runner.run_all(told, common_set=None, gates_from=gates_from, job=no_process)
     assert not interrupted
     return runs, {name: np.concatenate(one.refused) for name, one in told.items()}
 

@@ -41,7 +41,7 @@ def seen(point, *, linearised, sigma=0.5):
 
 
 def of(track, pose=ORIGIN):
-    return neglected(RIG, [track], points=track.point[None], pose=pose, linearised=ORIGIN)[0]
+    return neglected(RIG, [track], points=track.point[None], pose=pose, linearised=ORIGIN)[0][0]
 
 
 def test_what_is_neglected_is_second_order_in_standard_deviations():
@@ -63,7 +63,7 @@ def test_a_point_behind_the_camera_and_no_point_at_all_neglect_nothing():
     assert of(replace(seen(FAR, linearised=FAR), point=-FAR)) == 0.0
     assert of(seen(FAR, linearised=-FAR)) == 0.0
     none = neglected(RIG, [], points=np.zeros((0, 3)), pose=ORIGIN, linearised=ORIGIN)
-    assert none.shape == (0,)
+    assert [part.shape for part in none] == [(0,), (0,)]
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,8 @@ from vislam.models import StereoRig
 
 def neglected(
     rig: StereoRig, tracks: Sequence[Track], *, points: Array, pose: Array, linearised: Array
-) -> Array:
-    """What the linearisation of the newest observation of each track neglects.
+) -> tuple[Array, Array]:
+    """What the linearisation of the newest observation of each track neglects, and what it leaves.
 
     Parameters
     ----------
@@ -40,9 +40,11 @@ def neglected(
     neglected : (n,)
         Largest component, in standard deviations; 0 of a landmark that is not in front of the camera, here or
         there, which is degenerate and has no linearisation.
+    left : (n,)
+        Root mean square of the residual of the linear problem, likewise.
     """
     if not tracks:
-        return np.zeros(0)
+        return np.zeros(0), np.zeros(0)
     views = [track.views[-1] for track in tracks]
     seen = Observations(
         np.zeros(len(views), np.int64),
@@ -57,4 +59,6 @@ def neglected(
     linear += np.einsum("nij,nj->ni", there.by_point, points - before)
     found = np.abs(here.residual - linear).max(axis=1)
     in_front = [np.any(each.by_point != 0.0, axis=(1, 2)) for each in (here, there)]
-    return np.where(in_front[0] & in_front[1], found, 0.0)
+    known = in_front[0] & in_front[1]
+    left = np.sqrt(np.mean(linear**2, axis=1))
+    return np.where(known, found, 0.0), np.where(known, left, 0.0)

@@ -226,13 +226,17 @@ class Solver:
     def _neglects(self, seen: Sequence[Track], points: Array, pose: Array, linearised: Array) -> float:
         """Most that the linearisation of a newest observation neglects, in standard deviations.
 
+        In those of the noise, or of what the linear problem leaves of all newest observations, if that is
+        more: what does not fit where all is linear is an outlier or noise that is understated, and there one
+        relinearisation asks for the next.
+
         Nothing where a landmark has become degenerate: its factors are taken out with the next update, and
         what they did to the rest goes with them, unless that is relinearised there.
         """
-        if not self._plausible(points, pose).all():
+        if not seen or not self._plausible(points, pose).all():
             return 0.0
-        found = neglected(self._rig, seen, points=points, pose=pose, linearised=linearised)
-        return float(found.max(initial=0.0))
+        found, left = neglected(self._rig, seen, points=points, pose=pose, linearised=linearised)
+        return float(found.max() / max(1.0, np.sqrt(np.mean(left**2))))
 
     def _depth_in_view(self, frame: Frame) -> float:
         """Median depth of what a frame sees [m]; infinite if it sees nothing."""
