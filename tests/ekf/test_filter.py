@@ -16,6 +16,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions, parametrisation
 from vislam.estimators.ekf.dense import DenseFilter
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.linear import Jacobian, Update
+from vislam.estimators.ekf.propagation import Measurement
 from vislam.estimators.ekf.state import JointState
 from vislam.estimators.loop import run
 from vislam.models import StereoRig
@@ -166,3 +167,18 @@ def test_the_states_explain_tracks_that_drift_better_than_white_noise(short: Dat
         for how in ("states", "independent")
     )
     assert states.innovations.log_likelihood.sum() > white.innovations.log_likelihood.sum() + 50.0
+
+
+def test_what_is_measured_at_a_frame_is_weighed_together(short: Dataset, short_config: Config, monkeypatch):
+    """Two equal measurements of one component are as one of half the variance, each from the same state."""
+    problem = make_problem(short_config, short)
+    solver = EkfEstimator(problem, EkfOptions())
+    frame = next(iter(short.sequence.frames(pixel_sigma(short_config, short))))
+    bias = solver.state.layout["twist_bias"].start
+    prior, variance = solver.state.cov[bias, bias], 2.0 * solver.state.cov[bias, bias]
+    by_nav = np.eye(1, solver.state.layout.size, bias)
+    twice = [Measurement(np.array([1e-3]), by_nav, np.array([variance]))] * 2
+    monkeypatch.setattr(solver._motion, "measurements", lambda *_: twice)
+    before = solver.state.nav[bias]
+    solver._measure(solver.state, frame)
+    assert solver.state.nav[bias] - before == pytest.approx(1e-3 * prior / (prior + variance / 2.0))

@@ -270,15 +270,19 @@ class EkfEstimator:
 
     def _measure(self, state: JointState, frame: Frame) -> float:
         """Fuse what the model of motion measures; returns the logarithm of its density."""
-        density = 0.0
-        for found in self._motion.measurements(self._layout, state.world_T_imu, state.nav, frame):
-            jacobian = Jacobian(found.by_nav, np.empty((0, 3, self._layout.landmark)), np.empty(0, np.int64))
-            projected = jacobian.times(state.cov)
-            spread = jacobian.times(projected.T) + np.diag(found.variance)
-            update = Update.of(jacobian, projected, spread, found.innovation)
-            state.correct(update)
-            density += _log_density(update, len(found.innovation))
-        return density
+        found = self._motion.measurements(self._layout, state.world_T_imu, state.nav, frame)
+        if not found:
+            return 0.0
+        # All are linearised at one state, so they are fused at once: one after the other, the second would
+        # have to be compared with what the first has made of it.
+        by_nav = np.concatenate([one.by_nav for one in found])
+        innovation = np.concatenate([one.innovation for one in found])
+        jacobian = Jacobian(by_nav, np.empty((0, 3, self._layout.landmark)), np.empty(0, np.int64))
+        projected = jacobian.times(state.cov)
+        spread = jacobian.times(projected.T) + np.diag(np.concatenate([one.variance for one in found]))
+        update = Update.of(jacobian, projected, spread, innovation)
+        state.correct(update)
+        return _log_density(update, len(innovation))
 
     def _initialise(self, state: JointState, frame: Frame, new: BoolArray) -> None:
         if not new.any():
