@@ -20,6 +20,7 @@ import yaml
 from vislam.cli import compare, inspect
 from vislam.core.run import ESTIMATES, Estimate
 from vislam.evaluation.lookup import Lookup
+from vislam.inspection.checks import bare_tree
 
 _TRACKS = "clement2015"
 _PLANAR = {
@@ -114,7 +115,9 @@ def run(name: str, one: Set, *, out: Path, data_dir: Path | None) -> dict[str, A
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
     given, written = folder / "given.yaml", folder / "inspected.yaml"
-    tree = {"name": name, "data": dict(one.data), "estimators": dict(one.estimators)}
+    # As ``vislam inspect --file`` begins: with no repair configured, each fault is there to be found.
+    nothing = bare_tree(name, "")["data"]["repair"]
+    tree = {"name": name, "data": {**one.data, "repair": nothing}, "estimators": dict(one.estimators)}
     tree["common_set_from"] = list(one.common_set_from)
     given.write_text(yaml.safe_dump(tree, sort_keys=False), "utf-8")
     place = [] if data_dir is None else ["--data-dir", str(data_dir)]
@@ -122,7 +125,8 @@ def run(name: str, one: Set, *, out: Path, data_dir: Path | None) -> dict[str, A
     asked = [str(given), *common, "--out", str(folder / "inspection"), "--write-config", str(written)]
     if inspect.main(asked):
         return None
-    if compare.main([str(written), *common, "--no-report", "--out", str(folder)]):
+    # 1: a run that broke off, which the table has as such.
+    if compare.main([str(written), *common, "--no-report", "--out", str(folder)]) not in (0, 1):
         return None
     newest = max(folder.glob(f"{name}-*/metrics.json"), key=lambda path: path.stat().st_mtime)
     inspected = json.loads((folder / "inspection" / "inspection.json").read_text("utf-8"))

@@ -6,13 +6,11 @@ from experiments import all_sets
 from experiments.all_sets import SETS, Set
 
 SIMULATION = {"frames": 25, "tracks_in_view": 12.0}
-NOTHING = {"duplicated_tracks": False, "disparity": False, "consensus": False}
 
 
 @pytest.mark.slow
 def test_a_set_is_inspected_compared_and_told_of(monkeypatch, capsys, tmp_path):
-    data = {"simulation": SIMULATION, "repair": NOTHING}
-    one = Set("Simulated", data, {"dead_reckoning": {}, "eks": {}}, common_set_from=[])
+    one = Set("Simulated", {"simulation": SIMULATION}, {"dead_reckoning": {}, "eks": {}}, common_set_from=[])
     monkeypatch.setattr(all_sets, "SETS", {"made": one})
     assert all_sets.main(["--out", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
