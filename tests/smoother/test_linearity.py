@@ -80,7 +80,9 @@ def loop():
     return config, dataset, ate(found.filtered.world_T_imu, dataset)
 
 
-@pytest.mark.parametrize(("name", "options"), [("fixed_lag", {"lag_s": 2.0}), ("isam2", {})])
+@pytest.mark.parametrize(
+    ("name", "options"), [("fixed_lag", {"lag_s": 2.0, "relinearize_beyond": 1.0}), ("isam2", {})]
+)
 def test_poor_inertial_data_carry_nobody_off(loop, name, options):
     config, dataset, limit = loop
     found = member(name, config, dataset, **options)

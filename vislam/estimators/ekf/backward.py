@@ -178,9 +178,7 @@ def smooth(state: JointState, recorder: Recorder) -> Smoothed:
         elif isinstance(step, PoseRows):
             error, loss, _ = adjoint.expected(step.rows)
             poses.append(se3.retract(step.world_T_imu, error))
-            cov = step.rows[:, POSE] - loss
-            # A small difference of large numbers, which are symmetric to rounding only.
-            covs.append(0.5 * (cov + cov.T))
+            covs.append(_without(step.rows[:, POSE], loss))
         else:
             adjoint = step.back(adjoint)
     return Smoothed(
@@ -199,7 +197,16 @@ def filtered_landmarks(state: JointState, slots: IntArray) -> Landmarks:
 def _told(left: Marginalised, adjoint: Adjoint, parametrisation: Parametrisation) -> Landmarks:
     """Smoothed estimates of marginalised landmarks."""
     error, loss, cross = adjoint.expected(left.rows)
-    return _landmarks(left, left.q + error, left.cov - loss, cross, parametrisation)
+    return _landmarks(left, left.q + error, _without(left.cov, loss), cross, parametrisation)
+
+
+def _without(cov: Array, loss: Array) -> Array:
+    """Covariances ``(..., k, k)`` less a loss: a small difference of numbers that may be large.
+
+    They are symmetric to rounding only.
+    """
+    left = cov - loss
+    return np.asarray(0.5 * (left + np.swapaxes(left, -1, -2)))
 
 
 def _landmarks(

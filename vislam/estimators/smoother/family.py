@@ -19,7 +19,12 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "isam2_norelin": {"relinearize_every": 0, "relinearize_beyond": None, "final": "as_is"},
     # What leaves the lag is read for the last time, so it is solved to the end: a change that is left alone
     # as small would stay. It is relinearised where a linearisation is off; what a marginal ties keeps its.
-    "fixed_lag": {"lag_s": 3.0, "relinearize_every": 0, "wildfire_threshold": 0.0},
+    "fixed_lag": {
+        "lag_s": 3.0,
+        "relinearize_every": 0,
+        "relinearize_beyond": None,
+        "wildfire_threshold": 0.0,
+    },
     "batch": {"final": "batch", "final_iterations": 10},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},
 }
