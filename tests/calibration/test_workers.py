@@ -12,7 +12,7 @@ import pytest
 
 from tests.study.processes import DEADLINE, environment, python, until
 from vislam.base.errors import DivergedError
-from vislam.base.workers import Workers
+from vislam.base.workers import Workers, _deferred_interrupt
 
 CONFIG = """\
 name: small
@@ -77,6 +77,23 @@ def workers(said=None):
     finally:
         found.close()
         until(lambda: set(children()) <= before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_waits_until_processes_have_started(number):
+    """Also one that the mask lets through, as multiprocessing's tracker has it do once it was started."""
+    after, told = [], []
+    before = signal.signal(number, lambda number, _: told.append(number))
+    try:
+        with _deferred_interrupt():
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
+            os.kill(os.getpid(), number)
+            time.sleep(0.01)
+            after.append(list(told))
+        assert after == [[]]
+        assert told == [number]
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.slow

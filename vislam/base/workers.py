@@ -11,6 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -251,10 +252,23 @@ def _watch(lifeline: Connection) -> None:
 def _deferred_interrupt() -> Iterator[None]:
     """Hold interrupts back from this thread, and from the processes that it starts.
 
-    A pool that is interrupted between making its thread and starting it cannot be shut down.
+    A pool that is interrupted between making its thread and starting it cannot be shut down. The mask is for
+    the processes, which inherit it; it holds nothing back that another thread takes, such as those of BLAS,
+    or that comes after multiprocessing has started its tracker, which lets interrupts through. So they are
+    noted here, and raised in the end.
     """
+    resource_tracker.ensure_running()
+    held: list[int] = []
+    main = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in _HELD} if main else {}
     before: Any = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
+        for number in handlers:
+            signal.signal(number, lambda number, _: held.append(number))
         yield
     finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if held:
+            signal.raise_signal(held[0])
