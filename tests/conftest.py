@@ -1,5 +1,6 @@
 """Shared fixtures: simulated problems, and the recorded files where they are."""
 
+import logging
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -85,6 +86,12 @@ SHORT = SimulationConfig(
     gyro_sigma=0.002,
     velocity_sigma=0.02,
 )
+
+
+@pytest.fixture(autouse=True)
+def _loggers_warn():
+    """A command that ran in this process may have left the loggers at errors only."""
+    logging.getLogger().setLevel(logging.WARNING)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vislam
+from vislam.base import former as former_names
 from vislam.base.errors import ConfigError, DataError
 from vislam.base.files import save_archive
 from vislam.base.shipped import find_config
@@ -16,6 +17,12 @@ from vislam.core.estimator import find
 from vislam.core.schema import Plain, Section, mask
 from vislam.estimators.ekf import EkfOptions
 from vislam.study.settings import StudyConfig
+
+
+@pytest.fixture(autouse=True)
+def _nothing_noted_before():
+    """What is noted once in a process may have been noted by another test."""
+    former_names._note.cache_clear()
 
 
 def test_former_options_are_accepted_and_noted(short: Dataset, short_config: Config, caplog):
