@@ -19,6 +19,7 @@ from vislam.estimators.smoother.observations import Linearised, Observations
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
 from vislam.estimators.smoother.tracks import Track, locate
+from vislam.estimators.smoother.values import only
 from vislam.models import StereoRig
 
 _CONVERGED = 1e-6
@@ -138,7 +139,7 @@ class Drive:
         graph = self.without_tracks()
         for track in self.tracks:
             graph.add(self.stereo.smart(track.views))
-        start = only(values, graph)
+        start = only(values, graph.keyVector())
         found = minimise(graph, start, restart=gtsam.Values, rounds=1, budget=budget)
         everything = gtsam.Values(values)
         everything.update(found.values)
@@ -156,7 +157,7 @@ class Drive:
             track.views = [view for view, fine in zip(track.views, kept, strict=True) if fine]
         self.tracks = [track for track in self.tracks if track.views]
         self._whole = self._observations = None
-        return only(values, self.graph()), int(count - good.sum())
+        return only(values, self.graph().keyVector()), int(count - good.sum())
 
     def fit(self, values: gtsam.Values) -> tuple[float, int]:
         """Sum of the squared residuals, each by its noise, and how many more there are than unknowns."""
@@ -341,15 +342,6 @@ def graduate(
             break
         control *= _GRADUATION
     return values, weights > _INLIER_WEIGHT
-
-
-def only(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
-    """Those of the values that a factor asks for."""
-    asked, kept = graph.keys(), gtsam.Values(values)
-    for key in list(values.keys()):
-        if not asked.count(key):
-            kept.erase(key)
-    return kept
 
 
 def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, budget: Budget) -> Descent:

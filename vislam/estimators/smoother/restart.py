@@ -11,9 +11,10 @@ import numpy as np
 
 from vislam.core.estimator import Problem
 from vislam.estimators.smoother import motion
-from vislam.estimators.smoother.batch import Drive, minimise, only
+from vislam.estimators.smoother.batch import Drive, minimise
 from vislam.estimators.smoother.descent import Budget
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.values import only
 from vislam.geometry import se3
 
 _SUSPECT = 10.0
@@ -41,7 +42,7 @@ def restarted(
         return None
     graph = drive.graph()
     start = drive.triangulated(_inertial_path(drive, problem, options), clear=options.initialisation_snr)
-    start = only(start, graph)
+    start = only(start, graph.keyVector())
     if 2.0 * graph.error(start) >= squares:
         return None
     found = minimise(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import gtsam
 
 from vislam.estimators.smoother.keys import is_landmark
+from vislam.estimators.smoother.values import only, without
 
 _EVERY = 200
 """Updates between two cuts."""
@@ -146,7 +147,7 @@ class Segments:
             kept = graph.size()
             for factor in marginal:
                 graph.add(factor)
-            tree = self._solved(graph, _without(point, leaving), last)
+            tree = self._solved(graph, without(point, leaving), last)
         except (RuntimeError, IndexError):
             self._wait = 2 * self._updates
             return False
@@ -155,7 +156,7 @@ class Segments:
         moved = {back[slot]: place for place, slot in enumerate(stay) if slot in back}
         marginals = set(range(kept, graph.size()))
         marginals |= {place for place, slot in enumerate(stay) if slot in self._place.marginals}
-        self._left.insert(_only(point, leaving))
+        self._left.insert(only(point, leaving))
         self._tree = tree
         self._place = _Place(moved, self.factors.size(), self.factors.size() - graph.size(), marginals)
         self._updates, self._wait = 0, _EVERY
@@ -165,8 +166,7 @@ class Segments:
         """Bring back all that has left: the whole tree, solved at where its factors were linearised."""
         slots = [slot for slot in range(self.factors.size()) if self.factors.exists(slot)]
         graph = _some(self.factors, slots)
-        asked, values = graph.keys(), self.linearization_point()
-        values = _without(values, [key for key in list(values.keys()) if not asked.count(key)])
+        values = only(self.linearization_point(), graph.keyVector())
         self._tree = self._solved(graph, values, gtsam.KeyGroupMap() if last is None else last)
         self._left = gtsam.Values()
         moved = {slot: place for place, slot in enumerate(slots)}
@@ -220,9 +220,7 @@ def _marginal(
     _, rest = linear.eliminatePartialMultifrontal(sorted(leaving), gtsam.EliminateQR)
     factors = [rest.at(index) for index in range(rest.size()) if rest.exists(index)]
     return [
-        gtsam.LinearContainerFactor(factor, _only(point, factor.keys()))
-        for factor in factors
-        if factor.keys()
+        gtsam.LinearContainerFactor(factor, only(point, factor.keys())) for factor in factors if factor.keys()
     ]
 
 
@@ -230,16 +228,4 @@ def _some(graph: gtsam.NonlinearFactorGraph, slots: Iterable[int]) -> gtsam.Nonl
     found = gtsam.NonlinearFactorGraph()
     for slot in slots:
         found.push_back(graph.at(slot))
-    return found
-
-
-def _only(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
-    wanted = set(keys)
-    return _without(values, [key for key in list(values.keys()) if key not in wanted])
-
-
-def _without(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
-    found = gtsam.Values(values)
-    for key in keys:
-        found.erase(key)
     return found

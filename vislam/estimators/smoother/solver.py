@@ -10,7 +10,6 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.batch import only
 from vislam.estimators.smoother.engine import Engine, IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
@@ -18,6 +17,7 @@ from vislam.estimators.smoother.linearity import neglected
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
+from vislam.estimators.smoother.values import only
 from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.geometry import se3
 from vislam.models import StereoRig
@@ -313,7 +313,7 @@ class Solver:
         graph = gtsam.NonlinearFactorGraph()
         for slot in kept:
             graph.push_back(held.at(slot))
-        values = only(point, graph)
+        values = only(point, graph.keyVector())
         for k in self.held():
             if k in poses:
                 values.update(X(k), gtsam.Pose3(poses[k]))
