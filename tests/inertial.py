@@ -16,6 +16,16 @@ from vislam.simulation import SimulationConfig
 from vislam.simulation.settings import ImuSimulation
 
 IMU = ImuSimulation(rate=200.0, gyro_density=5e-4, accel_density=5e-3, gyro_walk=1e-4, accel_walk=1e-3)
+PHONE = ImuSimulation(
+    rate=100.0,
+    gyro_density=1e-3,
+    accel_density=1e-2,
+    gyro_walk=1e-4,
+    accel_walk=1e-2,
+    gyro_bias_sigma=0.03,
+    accel_bias_sigma=0.3,
+)
+"""The sensor of a phone."""
 
 
 @cache

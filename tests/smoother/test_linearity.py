@@ -19,17 +19,7 @@ from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.linearity import neglected
 from vislam.estimators.smoother.tracks import Track, View
 from vislam.geometry import se3
-from vislam.simulation.settings import ImuSimulation
 
-PHONE = ImuSimulation(
-    rate=100.0,
-    gyro_density=1e-3,
-    accel_density=1e-2,
-    gyro_walk=1e-4,
-    accel_walk=1e-2,
-    gyro_bias_sigma=0.03,
-    accel_bias_sigma=0.3,
-)
 FAR = np.array([12.0, 3.0, 1.0])
 ORIGIN = np.eye(4)
 
@@ -126,7 +116,7 @@ def test_a_lag_that_is_rebuilt_keeps_the_points_of_its_marginals(monkeypatch):
 def of_phone(**options):
     """Filtered positions ``(T, 3)`` of ``isam2`` in a car with the sensor of a phone, and its counts."""
     settings = {"path": "town", "tracks": 40.0, "loss_probability": 0.0784}
-    config, dataset = inertial.drive(seed=9, frames=31, pixel=0.5, imu=PHONE, period=0.2, **settings)
+    config, dataset = inertial.drive(seed=9, frames=31, pixel=0.5, imu=inertial.PHONE, period=0.2, **settings)
     dataset = replace(dataset, sequence=dataset.sequence.first(9))
     found = inertial.ran("isam2", config, dataset, **options)[1]
     return found.filtered.world_T_imu[:, :3, 3], found.log.counts

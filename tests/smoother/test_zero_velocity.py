@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.inertial import drive, ran, with_noise
+from tests.inertial import PHONE, drive, ran, with_noise
 from tests.smoother.test_inertial import SMALL
 from vislam.comparison.compare import make_problem
 from vislam.comparison.config import ZeroVelocityConfig
@@ -17,18 +17,8 @@ from vislam.evaluation.normalised import pose_errors
 from vislam.geometry import se3
 from vislam.models.imu import STATES
 from vislam.simulation import simulate
-from vislam.simulation.settings import ImuSimulation
 
 STOPPING = {"path": "urban", "frames": 160, "pixel": 0.5, "tracks": 40.0}
-PHONE = ImuSimulation(
-    rate=100.0,
-    gyro_density=1e-3,
-    accel_density=1e-2,
-    gyro_walk=1e-4,
-    accel_walk=1e-2,
-    gyro_bias_sigma=0.03,
-    accel_bias_sigma=0.3,
-)
 
 
 @dataclass(frozen=True)
