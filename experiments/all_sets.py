@@ -20,7 +20,7 @@ import yaml
 from vislam.cli import compare, inspect
 from vislam.core.run import ESTIMATES, Estimate
 from vislam.evaluation.lookup import Lookup
-from vislam.inspection.checks import bare_tree
+from vislam.inspection.checks import BARE_REPAIR
 
 _TRACKS = "clement2015"
 _PLANAR = {
@@ -116,8 +116,7 @@ def run(name: str, one: Set, *, out: Path, data_dir: Path | None) -> dict[str, A
     folder.mkdir(parents=True, exist_ok=True)
     given, written = folder / "given.yaml", folder / "inspected.yaml"
     # As ``vislam inspect --file`` begins: with no repair configured, each fault is there to be found.
-    nothing = bare_tree(name, "")["data"]["repair"]
-    tree = {"name": name, "data": {**one.data, "repair": nothing}, "estimators": dict(one.estimators)}
+    tree = {"name": name, "data": {**one.data, "repair": BARE_REPAIR}, "estimators": dict(one.estimators)}
     tree["common_set_from"] = list(one.common_set_from)
     given.write_text(yaml.safe_dump(tree, sort_keys=False), "utf-8")
     place = [] if data_dir is None else ["--data-dir", str(data_dir)]

@@ -304,10 +304,13 @@ def _motion_unseen(cut: Sequence, config: Config, frames: int, book: _Book) -> N
     book.enter(motion.check_inertial_noise(cut, density=noise.twist_density, heave=levelled))
 
 
+BARE_REPAIR = {"duplicated_tracks": False, "disparity": False, "consensus": False}
+"""Section ``data.repair`` with the steps switched off that are on by default."""
+
+
 def bare_tree(name: str, file: str) -> dict[str, Any]:
     """Config of a bare file as plain data: nothing is repaired, so that every trap is found."""
-    nothing = {"duplicated_tracks": False, "disparity": False, "consensus": False}
-    return {"name": name[:LONGEST_NAME], "data": {"file": file, "repair": nothing}}
+    return {"name": name[:LONGEST_NAME], "data": {"file": file, "repair": dict(BARE_REPAIR)}}
 
 
 def unrepaired(config: Config) -> Config:
