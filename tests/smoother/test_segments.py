@@ -19,7 +19,7 @@ SHORT = {"tracks_in_view": 12, "loss_probability": 0.2}
 
 
 UP_TO_DATE = 1e-12
-"""Threshold by which all variables are updated at each step: else a tree that was made anew is ahead of one
+"""Threshold by which all variables are updated at each step: else a tree that was rebuilt is ahead of one
 that was not, whose old variables wait until they have changed by more."""
 
 

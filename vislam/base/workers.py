@@ -134,7 +134,7 @@ class Workers:
                     suspects.discard(index)
                     yield index, future.result()
             if lost:
-                self._anew("a worker process was lost; what ran is done again, one at a time")
+                self._restart("a worker process was lost; what ran is done again, one at a time")
                 losses.update(lost if suspects else ())
                 given_up = [index for index in lost if losses[index] >= _MOST_LOSSES_ALONE]
                 waiting.extendleft(sorted(set(lost) - set(given_up), reverse=True))
@@ -202,9 +202,9 @@ class Workers:
                 f"worker processes were lost {self._losses} times, killed or out of memory; "
                 "use one process, or fewer frames"
             )
-        self._anew(f"a worker process was lost; starting anew ({self._losses} of {_MOST_LOSSES})")
+        self._restart(f"a worker process was lost; starting anew ({self._losses} of {_MOST_LOSSES})")
 
-    def _anew(self, told: str) -> None:
+    def _restart(self, told: str) -> None:
         self.close()
         self._say(told)
         self._start()
