@@ -92,3 +92,19 @@ def test_a_bias_of_the_tracker_grows_with_the_age_of_a_track_and_leaves_disparit
 def test_components_have_names():
     assert component_name("camera_rotation", 2) == "camera_rotation_z"
     assert component_name("clock", 0) == "clock"
+
+
+def test_tracks_move_off_alike_and_a_turn_is_that_of_the_camera_about_its_axis(short):
+    sequence = short.sequence
+    age, rig = sequence.age(), sequence.rig
+    center = np.array([rig.cx, rig.cy])
+    column = moved(sequence, "tracker_bias", index=0, amount=0.05)
+    assert np.allclose(sequence.pixels - column.pixels, 0.05 * age[:, None] * [1, 0, 1, 0])
+    turned = moved(sequence, "tracker_bias", index=2, amount=0.05)
+    ray = (
+        (sequence.pixels[:, :2] - center) / [rig.fx, rig.fy],
+        (turned.pixels[:, :2] - center) / [rig.fx, rig.fy],
+    )
+    angle = np.arctan2(ray[0][:, 1], ray[0][:, 0]) - np.arctan2(ray[1][:, 1], ray[1][:, 0])
+    assert np.allclose(np.angle(np.exp(1j * angle)), 0.05 * age / np.sqrt(rig.fx * rig.fy))
+    assert np.allclose(np.linalg.norm(ray[0], axis=1), np.linalg.norm(ray[1], axis=1))

@@ -311,3 +311,38 @@ def test_a_reference_of_the_camera_lies_where_the_repaired_mounting_has_it(tmp_p
     for found in (stored, turned):
         assert np.allclose(found.reference.imu_T_point, found.sequence.rig.imu_T_cam)
     assert not np.allclose(stored.reference.imu_T_point, turned.reference.imu_T_point)
+
+
+def test_a_reference_beside_the_data_has_the_accuracy_that_the_config_knows_and_no_pose_that_was_filled_in(
+    tmp_path,
+):
+    rng = np.random.default_rng(3)
+    place = np.cumsum(1.0 + 0.01 * rng.standard_normal((3, 20)), axis=1)
+    for k in range(1, 9):
+        place[:, k] = place[:, 0] + k / 9 * (place[:, 9] - place[:, 0])
+    pixels = np.full((4, 20, 2), -1.0)
+    pixels[:, :9, 1] = np.array([120.0, 50, 100, 50])[:, None]
+    file = mat_file(
+        tmp_path / "set.mat",
+        y_k_j=pixels,
+        t=0.1 * np.arange(20)[None],
+        v_vk_vk_i=np.ones((3, 20)),
+        w_vk_vk_i=np.zeros((3, 20)),
+        theta_vk_i=0.01 * rng.standard_normal((3, 20)),
+        r_i_vk_i=place,
+    )
+    config = data(
+        source={"format": "clement_mat", "file": str(file)},
+        reference_accuracy={"sigma_m": 0.02, "sigma_deg": 0.1},
+    )
+    dataset = open_dataset(config, seed=0)
+    assert list(dataset.reference.frame) == list(range(9, 20))
+    assert any("filled in" in note for note in dataset.notes)
+    assert dataset.reference.sigma == 0.02
+    assert np.isclose(dataset.reference.sigma_rotation, np.deg2rad(0.1))
+    with pytest.raises(ConfigError, match="state it in reference"):
+        data(
+            source={"format": "clement_mat", "file": str(file)},
+            reference_accuracy={"sigma_m": 0.02},
+            reference={"file": "a.txt", "format": "tum", "name": "a", "limits": "none"},
+        )

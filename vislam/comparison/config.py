@@ -153,6 +153,16 @@ class LandmarksConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ReferenceAccuracy:
+    """How accurate a reference is that comes with the data, by what is known of its instrument."""
+
+    sigma_m: NonNegative = 0.0
+    """Standard deviation of its positions [m]."""
+    sigma_deg: NonNegative = 0.0
+    """Standard deviation of its attitudes [deg]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DataConfig:
     """Source of the data, and how it is read and repaired."""
 
@@ -177,6 +187,9 @@ class DataConfig:
     """Landmarks seen again: whether a track id that comes back is the landmark that it was."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording; null: what comes with the source."""
+    reference_accuracy: ReferenceAccuracy | None = None
+    """Accuracy of the reference that comes with the source, which NEES and coverage then allow for; null:
+    what its reader knows of it. That of a file is stated in ``reference``."""
 
     def __post_init__(self) -> None:
         """Reject a section without any data, and keys that would go unheard."""
@@ -197,6 +210,8 @@ class DataConfig:
             raise ValueError("source is a simulation already: give it or simulation alone")
         if not given and self.simulation is None:
             raise ValueError("one of source, file, simulation and packaged must be given")
+        if self.reference_accuracy is not None and self.reference is not None:
+            raise ValueError("reference_accuracy is of what comes with the source: state it in reference")
         recorded = bool(given) and not isinstance(self.source, SimulationSource)
         if self.inertial is not None and not recorded:
             raise ValueError("inertial replaces the samples of a recording: source or file must be given")
@@ -386,8 +401,9 @@ class ConsiderConfig:
     rate_direction: NonNegative | Two = 0.0
     """Direction of the recorded turn rate in the body: what roll and pitch rate are off by in proportion to
     the yaw rate [rad]. Rates that an instrument gives about level axes are off by the slope of the road."""
-    tracker_bias: NonNegative | Two = 0.0
-    """Column and row by which all tracks move away from their points each frame [px/frame]."""
+    tracker_bias: NonNegative | Three = 0.0
+    """What all tracks move away from their points by in each frame: in column, in row, and about the
+    principal point, by what a point at a distance of the focal length moves [px/frame]."""
 
     def components(self) -> Iterator[tuple[str, int, float]]:
         """Parameter, index and standard deviation of each component that is not 0."""

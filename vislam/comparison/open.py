@@ -15,11 +15,13 @@ from vislam.comparison.config import (
     InertialConfig,
     OtherSource,
     PackagedConfig,
+    ReferenceAccuracy,
     SimulationSource,
 )
 from vislam.comparison.plausibility import Implausible, implausible
 from vislam.comparison.redraw import redraw, redrawn_note
 from vislam.comparison.simulated import simulated
+from vislam.core.filled import measured
 from vislam.core.reference import Reference
 from vislam.core.sequence import Repair, Sequence
 from vislam.core.standstill import Standstill
@@ -115,7 +117,7 @@ def open_dataset(
     wrong = () if raw.sequence.synthetic else _implausible(raw.sequence, config)
     sequence, kept_back = _parted(raw.sequence, config, held_out)
     dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back, raw.strip)
-    return dataset if raw.sequence.synthetic else _redrawn(dataset, config, seed)
+    return dataset if raw.sequence.synthetic else _measured(_redrawn(dataset, config, seed))
 
 
 def open_recording(config: DataConfig, opening: Opening, *, allow_substitute: bool = True) -> Recording:
@@ -134,7 +136,7 @@ def open_recording(config: DataConfig, opening: Opening, *, allow_substitute: bo
         raw = replace(raw, sequence=_with_inertial(raw.sequence, config.inertial, folders))
     if config.reference is None:
         if raw.reference is not None:
-            return raw
+            return replace(raw, reference=_as_accurate(raw.reference, config.reference_accuracy))
         note = "no reference: errors cannot be measured"
         return replace(raw, notes=(*raw.notes, note))
     found = find_file(config.reference.file, folders)
@@ -146,6 +148,13 @@ def open_recording(config: DataConfig, opening: Opening, *, allow_substitute: bo
         found, config.reference, imu_T_cam=_mounting(raw.sequence, config), stamp=raw.sequence.stamp
     )
     return replace(raw, reference=reference, points_world=None)
+
+
+def _as_accurate(reference: Reference, known: ReferenceAccuracy | None) -> Reference:
+    """Reference with the accuracy that the config knows of it, if it does."""
+    if known is None:
+        return reference
+    return replace(reference, sigma=known.sigma_m, sigma_rotation=float(np.deg2rad(known.sigma_deg)))
 
 
 def _mounting(sequence: Sequence, config: DataConfig) -> Array:
@@ -199,6 +208,14 @@ def _redrawn(dataset: Dataset, config: DataConfig, seed: int) -> Dataset:
     assert drawn[0] is not None
     note = redrawn_note(dataset.sequence.name, dataset.reference.name)
     return replace(dataset, sequence=drawn[0], held_out=drawn[1], notes=(note, *dataset.notes))
+
+
+def _measured(dataset: Dataset) -> Dataset:
+    """The same with a reference that has only what was measured."""
+    if dataset.reference is None:
+        return dataset
+    reference, remark = measured(dataset.reference, dataset.sequence.stamp)
+    return replace(dataset, reference=reference, notes=(*dataset.notes, *filter(None, [remark])))
 
 
 def _implausible(sequence: Sequence, config: DataConfig) -> tuple[Implausible, ...]:

@@ -78,9 +78,19 @@ def _rate_direction(sequence: Sequence, direction: Array) -> Sequence:
 
 
 def _tracker_bias(sequence: Sequence, bias: Array) -> Sequence:
-    """Take all tracks for moved away from their points by so much a frame, as long as they are followed."""
-    away = sequence.age()[:, None] * bias
-    return replace(sequence, pixels=sequence.pixels - np.hstack([away, away]))
+    """Take all tracks for moved away from their points by so much a frame, as long as they are followed.
+
+    The third component turns both images about their principal points, from column to row, and is what a
+    point at a distance of the focal length moves by: as an angle, each component turns the cameras alike.
+    """
+    rig = sequence.rig
+    age = sequence.age()[:, None]
+    center, focal = np.array([rig.cx, rig.cy]), np.array([rig.fx, rig.fy])
+    x, y = np.moveaxis((sequence.pixels.reshape(-1, 2, 2) - center) / focal, -1, 0)
+    angle = age * bias[2] / np.sqrt(rig.fx * rig.fy)
+    less, sine = 1.0 - np.cos(angle), np.sin(angle)
+    away = age[:, :, None] * bias[:2] + focal * np.stack([less * x - sine * y, less * y + sine * x], axis=-1)
+    return replace(sequence, pixels=sequence.pixels - away.reshape(-1, 4))
 
 
 PARAMETERS: Mapping[str, Parameter] = {
@@ -91,7 +101,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     CLOCK: Parameter(("",), UNITS[CLOCK], _clock),
     VELOCITY_DIRECTION: Parameter(("left", "up"), UNITS[VELOCITY_DIRECTION], _velocity_direction),
     "rate_direction": Parameter(("roll", "pitch"), "rad", _rate_direction),
-    "tracker_bias": Parameter(("column", "row"), "px/frame", _tracker_bias),
+    "tracker_bias": Parameter(("column", "row", "turn"), "px/frame", _tracker_bias),
 }
 """The parameters by name, those that can be estimated as :mod:`vislam.models.shared_errors` has them; the
 cameras turn about the axes of the body."""

@@ -1,0 +1,100 @@
+"""Poses of a reference that nobody measured: filled in between two others, in equal steps.
+
+Where an instrument has lost packets, a recording often has what lies between those around the gap, and says
+nothing of it. Scored by such poses, an estimator is wrong where it is right.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vislam.base.arrays import runs
+from vislam.base.types import Array, BoolArray
+from vislam.core.reference import Reference
+
+_FEWEST = 4
+"""Poses in a row, each in the middle of its neighbours, that are no coincidence."""
+_TOLERANCE = 1e-6
+"""Of a step: how far from there a pose is that was computed."""
+_STEP = 1e3
+"""Smallest step, in digits of the file; what moves by a few digits a step may do so equally."""
+_DIGITS = 12
+_SCORED = 2
+"""Poses that a reference needs at least."""
+_SHOWN = 3
+"""Stretches that are named one by one."""
+
+
+def filled(position: Array, at: Array) -> BoolArray:
+    """Which rows lie between two others in equal steps, many in a row.
+
+    The rows at both ends of such a stretch were measured, and are not among them. At the beginning and the
+    end of a series there is nothing beyond that would confirm them, so there they are.
+
+    Parameters
+    ----------
+    position : (n, d)
+        Positions [m].
+    at : (n,)
+        Frames or times of the rows, increasing: steps are equal in them.
+
+    Returns
+    -------
+    (n,)
+        Mask.
+    """
+    out = np.zeros(len(position), bool)
+    if len(position) < _FEWEST + 2:
+        return out
+    before, after = position[:-2], position[2:]
+    share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
+    length = np.linalg.norm(after - before, axis=1)
+    off = np.linalg.norm(before + share * (after - before) - position[1:-1], axis=1)
+    equal = (off <= _TOLERANCE * length) & (length > _STEP * _resolution(position))
+    for first, end in runs(equal):
+        if end - first >= _FEWEST:
+            begin, stop = first + 1, end + 1
+            out[0 if begin == 1 else begin : len(out) if stop == len(out) - 1 else stop] = True
+    return out
+
+
+def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
+    """Reference without the poses that were filled in, and a remark on them; empty if there are none.
+
+    Steps are looked at that are equal from frame to frame, and that are equal in time. A reference that has
+    nothing else is left as it is.
+
+    Parameters
+    ----------
+    reference : Reference
+    stamp : (T,)
+        Camera times of the recording [s].
+    """
+    frame = reference.frame
+    computed = filled(reference.position, frame.astype(float)) | filled(reference.position, stamp[frame])
+    if not computed.any() or np.count_nonzero(~computed) < _SCORED:
+        return reference, ""
+    stretches = [
+        f"{frame[first]} to {frame[end - 1]}" if end - first > 1 else f"{frame[first]}"
+        for first, end in runs(computed)
+    ]
+    shown = ", ".join(stretches[:_SHOWN]) + (" and others" if len(stretches) > _SHOWN else "")
+    kept = ~computed
+    return (
+        replace(
+            reference,
+            frame=frame[kept],
+            position=reference.position[kept],
+            pose=None if reference.pose is None else reference.pose[kept],
+        ),
+        f"{reference.name}: {np.count_nonzero(computed)} of {len(frame)} poses, of frames {shown}, lie "
+        "between others in exactly equal steps: filled in, not measured; nothing is scored by them",
+    )
+
+
+def _resolution(position: Array) -> float:
+    """Smallest power of ten [m] of which all coordinates are multiples, as a text file has them."""
+    for digits in range(_DIGITS):
+        if np.abs(np.round(position, digits) - position).max() <= np.spacing(np.abs(position).max()):
+            return float(10.0**-digits)
+    return 0.0
