@@ -342,3 +342,33 @@ def test_of_a_run_that_measured_gravity_roll_and_pitch_count(rng):
         run, world_T_imu=se3.exp(np.array([0.0, 0.0, 2.1, 3.0, -1.0, 0.5])) @ truth, upright=True
     )
     assert np.allclose(pose_errors(turned, of_truth(truth))["pose"].error, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_an_alignment_takes_from_shared_errors_what_it_takes_from_the_poses(rng, planar):
+    truth, _ = drive(rng)
+    share = np.linspace(0.0, 1.0, FRAMES)[:, None]
+    # A heading that goes off, which is nearly a turn of the world; a scale; something that comes and goes.
+    shared = 0.3 * np.stack(
+        [
+            np.hstack([np.zeros((FRAMES, 3)), share**power * direction])
+            for power, direction in ((2, [0.0, 1, 0]), (1, [1.0, 0, 0]), (3, [0.0, 0, 1]), (4, [0.5, 0.5, 0]))
+        ]
+    )
+    reference = replace(surveyed(truth, 2 if planar else 3), imu_T_point=np.eye(4))
+    reference = replace(reference, position=(MOVE @ truth)[:, : reference.position.shape[1], 3])
+    cov = np.tile(1e-4 * np.eye(6), (FRAMES, 1, 1))
+    whole, aligned = [], []
+    for _ in range(40):
+        error = np.einsum("c,cti->ti", rng.standard_normal(4), shared) + 0.01 * rng.standard_normal(
+            (FRAMES, 6)
+        )
+        run = made_run("one", truth @ se3.exp(-error), cov=cov)
+        grown = made_run("one", run.final.world_T_imu, cov=cov + np.einsum("cti,ctj->tij", shared, shared))
+        whole.append(position_errors(grown, reference, planar=planar, reference_sigma=0.0).nees.mean())
+        aligned.append(
+            position_errors(run, reference, planar=planar, reference_sigma=0.0, shared=shared).nees.mean()
+        )
+    size = 2 if planar else 3
+    assert np.mean(aligned) / size == pytest.approx(1.0, abs=0.25)
+    assert np.mean(whole) < 0.8 * np.mean(aligned)

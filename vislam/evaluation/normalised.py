@@ -18,7 +18,7 @@ from vislam.core.step import TWIST_BIAS
 from vislam.core.trajectory import Poses
 from vislam.evaluation import statistics
 from vislam.evaluation.statistics import Statistic, Whiteness
-from vislam.evaluation.weighted_alignment import align_weighted
+from vislam.evaluation.weighted_alignment import align_weighted, without_motion
 from vislam.geometry import se3, so3
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "position": slice(3, 6)}
@@ -172,6 +172,7 @@ def position_errors(
     planar: bool,
     reference_sigma: float,
     estimate: Estimate | None = None,
+    shared: Array | None = None,
 ) -> Normalised | None:
     """Errors of the position where the reference has no attitude; None where the run gives no covariance.
 
@@ -192,6 +193,9 @@ def position_errors(
         more certain than any survey.
     estimate : "filtered" or "smoothed", optional
         Whose poses and covariances; the final one by default.
+    shared : (c, T, 6), optional
+        Changes of all poses of the run by one standard deviation of each of some errors that are not in its
+        covariances, in the tangent of the pose, on its right [rad, m].
     """
     size = 2 if planar else 3
     frame, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
@@ -199,11 +203,15 @@ def position_errors(
     turn = pose[:, :3, :3]
     cov_world = (turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1))[:, :size, :size]
     cov_world = cov_world + reference_sigma**2 * np.eye(size)
-    known = usable(cov_world)
+    changes = _at_places(shared, own, turn, reference.imu_T_point, size)
+    total = cov_world + np.einsum("cni,cnj->nij", changes, changes)
+    known = usable(total)
     if known.sum() < 3:
         return None
-    cov_world, place = cov_world[known], pose[known, :size, 3]
-    error = align_weighted(reference.position[other][known, :size], place, cov_world) - place
+    place, total = pose[known, :size, 3], total[known]
+    error = align_weighted(reference.position[other][known, :size], place, total) - place
+    changes = without_motion(changes[:, known], place, total)
+    cov_world = cov_world[known] + np.einsum("cni,cnj->nij", changes, changes)
     return Normalised(
         "nees_position_" + ("planar" if planar else "aligned"),
         frame[known],
@@ -312,6 +320,14 @@ def _at_point(poses: Poses, row: IntArray, imu_T_point: Array) -> tuple[Array, A
         return poses.world_T_imu[row], poses.covariances[row]
     move = se3.adjoint(se3.inverse(imu_T_point))
     return poses.world_T_imu[row] @ imu_T_point, move @ poses.covariances[row] @ move.T
+
+
+def _at_places(shared: Array | None, row: IntArray, turn: Array, imu_T_point: Array, size: int) -> Array:
+    """Changes of the positions of a point of the body ``(c, n, size)``, in the axes of the world."""
+    if shared is None:
+        return np.zeros((0, len(row), size))
+    at_point = shared[:, row] @ se3.adjoint(se3.inverse(imu_T_point)).T
+    return np.asarray(np.einsum("nij,cnj->cni", turn, at_point[:, :, 3:])[:, :, :size])
 
 
 def _sigma(cov: Array) -> Array:

@@ -11,7 +11,7 @@ from vislam.base.types import Array, IntArray
 from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record, Tracks
 from vislam.core.reference import Reference
-from vislam.core.run import Estimate, Run
+from vislam.core.run import Beside, Estimate, Run
 from vislam.core.trajectory import Poses
 from vislam.evaluation import maps, normalised, smoothing
 from vislam.evaluation.agreement import Agreement, agreement, shared_estimates
@@ -296,18 +296,33 @@ def _claims(run: Run, estimate: Estimate, reference: Reference) -> list[Normalis
     """Errors of the poses of an estimate beside each of the covariances that the run has."""
     found = _by_its_own(run, estimate, reference)
     for kind in run.beside:
-        for claim in _by_its_own(run.with_covariances(kind), estimate, reference):
+        for claim in _beside(run, kind, estimate, reference):
             told = f"{claim.convention}; {BESIDE_TITLES[kind]}"
             found.append(replace(claim, name=of_beside(claim.name, kind), convention=told))
     return found
 
 
-def _by_its_own(run: Run, estimate: Estimate, reference: Reference) -> list[Normalised]:
+def _beside(run: Run, kind: Beside, estimate: Estimate, reference: Reference) -> list[Normalised]:
+    """Errors beside another covariance; where worlds are aligned, so is what shared errors add."""
+    if kind == "considered" and run.considered is not None and reference.pose is None:
+        shared = run.considered.of(smoothed=estimate == "smoothed")
+        return _by_its_own(run, estimate, reference, shared=shared)
+    return _by_its_own(run.with_covariances(kind), estimate, reference)
+
+
+def _by_its_own(
+    run: Run, estimate: Estimate, reference: Reference, *, shared: Array | None = None
+) -> list[Normalised]:
     """Errors of the poses of an estimate beside their estimated covariances."""
     if reference.pose is not None:
         return list((normalised.pose_errors(run, reference, estimate=estimate) or {}).values())
     found = normalised.position_errors(
-        run, reference, planar=reference.planar, reference_sigma=reference.sigma, estimate=estimate
+        run,
+        reference,
+        planar=reference.planar,
+        reference_sigma=reference.sigma,
+        estimate=estimate,
+        shared=shared,
     )
     return [] if found is None else [found]
 

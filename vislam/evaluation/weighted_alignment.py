@@ -41,3 +41,32 @@ def align_weighted(target: Array, estimate: Array, cov: Array) -> Array:
         return np.asarray(np.einsum("nij,nj->ni", factor, moved(motion) - estimate).ravel())
 
     return moved(least_squares(residuals, np.zeros(size + turns), x_scale="jac").x)
+
+
+def without_motion(changes: Array, position: Array, cov: Array) -> Array:
+    """Changes of positions less the rigid motion that :func:`align_weighted` takes out of each.
+
+    To first order.
+
+    Parameters
+    ----------
+    changes : (c, n, d)
+        Of all positions by each of some causes [m], d = 2 or 3.
+    position : (n, d)
+        [m].
+    cov : (n, d, d)
+        The covariances of the alignment [m^2].
+
+    Returns
+    -------
+    (c, n, d)
+    """
+    size = position.shape[1]
+    off = position - position[np.argmin(np.trace(cov, axis1=1, axis2=2))]
+    turns = np.stack([-off[:, 1], off[:, 0]], axis=1)[:, :, None] if size == 2 else -so3.hat(off)
+    motion = np.concatenate([np.broadcast_to(np.eye(size), (len(off), size, size)), turns], axis=2)
+    factor = np.linalg.inv(np.linalg.cholesky(cov))
+    rows = (factor @ motion).reshape(-1, motion.shape[2])
+    whitened = np.einsum("nij,cnj->cni", factor, changes).reshape(len(changes), rows.shape[0])
+    taken = np.linalg.lstsq(rows, whitened.T, rcond=None)[0]
+    return np.asarray(changes - np.einsum("nij,jc->cni", motion, taken))
