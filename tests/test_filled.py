@@ -1,11 +1,15 @@
 """Poses of a reference that were filled in are found, and what was measured is not taken for such."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tests.smoother.drives import drive
 from vislam.core.filled import filled, measured
 from vislam.core.reference import Reference
 from vislam.geometry import se3, so3
+from vislam.inspection.tracks import check_stamps
 
 
 def driven(n=200, seed=0):
@@ -81,3 +85,13 @@ def test_a_reference_of_equal_steps_throughout_is_left_as_it_is():
     kept, remark = measured(reference, 0.1 * frame)
     assert kept is reference
     assert not remark
+
+
+def test_inspect_says_which_samples_were_filled_in():
+    sequence = drive(seed=3, frames=60, tracks_in_view=4)[1].sequence
+    assert check_stamps(sequence, in_seconds=sequence).counts["inertial_filled"] == 0
+    lost = replace(sequence, twist=fill(sequence.twist, 20, 32, sequence.inertial_stamp))
+    found = check_stamps(lost, in_seconds=lost)
+    assert found.verdict == "note"
+    assert found.counts["inertial_filled"] == 11
+    assert "11 inertial samples from" in found.text

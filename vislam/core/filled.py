@@ -1,4 +1,4 @@
-"""Poses of a reference that nobody measured: filled in between two others, in equal steps.
+"""Poses of a reference, and samples, that nobody measured: filled in between two others, in equal steps.
 
 Where an instrument has lost packets, a recording often has what lies between those around the gap, and says
 nothing of it. Scored by such poses, an estimator is wrong where it is right.
@@ -25,7 +25,7 @@ _SHOWN = 3
 """Stretches that are named one by one."""
 
 
-def filled(position: Array, at: Array) -> BoolArray:
+def filled(values: Array, at: Array) -> BoolArray:
     """Which rows lie between two others in equal steps, many in a row.
 
     The rows at both ends of such a stretch were measured, and are not among them. At the beginning and the
@@ -33,8 +33,8 @@ def filled(position: Array, at: Array) -> BoolArray:
 
     Parameters
     ----------
-    position : (n, d)
-        Positions [m].
+    values : (n, d)
+        Positions, or samples.
     at : (n,)
         Frames or times of the rows, increasing: steps are equal in them.
 
@@ -43,14 +43,14 @@ def filled(position: Array, at: Array) -> BoolArray:
     (n,)
         Mask.
     """
-    out = np.zeros(len(position), bool)
-    if len(position) < _FEWEST + 2:
+    out = np.zeros(len(values), bool)
+    if len(values) < _FEWEST + 2:
         return out
-    before, after = position[:-2], position[2:]
+    before, after = values[:-2], values[2:]
     share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
     length = np.linalg.norm(after - before, axis=1)
-    off = np.linalg.norm(before + share * (after - before) - position[1:-1], axis=1)
-    equal = (off <= _TOLERANCE * length) & (length > _STEP * _resolution(position))
+    off = np.linalg.norm(before + share * (after - before) - values[1:-1], axis=1)
+    equal = (off <= _TOLERANCE * length) & (length > _STEP * _resolution(values))
     for first, end in runs(equal):
         if end - first >= _FEWEST:
             begin, stop = first + 1, end + 1
@@ -92,9 +92,9 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
     )
 
 
-def _resolution(position: Array) -> float:
-    """Smallest power of ten [m] of which all coordinates are multiples, as a text file has them."""
+def _resolution(values: Array) -> float:
+    """Smallest power of ten of which all values are multiples, as a text file has them."""
     for digits in range(_DIGITS):
-        if np.abs(np.round(position, digits) - position).max() <= np.spacing(np.abs(position).max()):
+        if np.abs(np.round(values, digits) - values).max() <= np.spacing(np.abs(values).max()):
             return float(10.0**-digits)
     return 0.0

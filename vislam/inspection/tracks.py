@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vislam.base.types import Array
+from vislam.base.types import Array, IntArray
 from vislam.comparison.plausibility import implausible
+from vislam.core.filled import filled
 from vislam.core.rigid_fit import FEWEST, continuations
 from vislam.core.sequence import Sequence
 from vislam.inspection.finding import Finding, Verdict
@@ -81,22 +82,36 @@ def _steps(sequence: Sequence) -> Finding:
     missing = int(np.round(step[gaps] / usual - 1.0).sum())
     inertial = np.diff(sequence.inertial_stamp)
     inertial_gaps = int(np.sum(inertial > 2.0 * max(usual, float(np.median(inertial)))))
+    computed = np.flatnonzero(filled(sequence.twist, sequence.inertial_stamp))
+    if not len(computed):
+        computed = np.flatnonzero(filled(sequence.twist, np.arange(float(len(sequence.twist)))))
     counts = {
         "period_s": usual,
         "gaps": len(gaps),
         "frames_missing": missing,
         "longest_step_s": float(step.max()),
         "inertial_gaps": inertial_gaps,
+        "inertial_filled": len(computed),
     }
+    told = f"; {_filled_in(sequence.inertial_stamp - sequence.stamp[0], computed)}" if len(computed) else ""
     if len(gaps) + inertial_gaps == 0:
-        text = f"{len(sequence)} frames every {usual:.4f} s, no gap"
-        return Finding("stamps", "ok", text, counts=counts)
+        text = f"{len(sequence)} frames every {usual:.4f} s, no gap{told}"
+        return Finding("stamps", "note" if told else "ok", text, counts=counts)
     listed = ", ".join(str(k + 1) for k in gaps[:_LISTED])
     text = (
         f"{len(gaps)} gaps (before frames {listed}), {missing} frames missing, longest step "
-        f"{step.max():.3f} s, {inertial_gaps} gaps in the inertial samples: nothing spans them"
+        f"{step.max():.3f} s, {inertial_gaps} gaps in the inertial samples: nothing spans them{told}"
     )
     return Finding("stamps", "note", text, counts=counts)
+
+
+def _filled_in(at: Array, computed: IntArray) -> str:
+    """Say which inertial samples lie between others in equal steps."""
+    first, last = at[computed[0]], at[computed[-1]]
+    return (
+        f"{len(computed)} inertial samples from {first:.1f} to {last:.1f} s lie between others in exactly "
+        "equal steps: filled in, not measured, as is a reference of the same instrument"
+    )
 
 
 def check_seen_again(sequence: Sequence, *, kept: str) -> Finding:
