@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vislam.core.imu import ImuSeries
+from vislam.core.integrals import Integral
 from vislam.inspection.inertia.allan import allan
-from vislam.inspection.inertia.integrals import Integral
 from vislam.inspection.inertia.samples import check_samples, check_saturation
 
 RATE = 200.0

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.pooled_fit import TwistError
 from vislam.core.sequence import Sequence
-from vislam.inspection.finding import Finding, Measured, jackknife, robust_mean
+from vislam.inspection.finding import Finding, Measured, robust_mean
 from vislam.inspection.motion import VisionSteps
 
 _AXES = "xyz"

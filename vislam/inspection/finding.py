@@ -103,14 +103,6 @@ class Inspection:
         return {path: reason for finding in self.findings for path, reason in finding.unknown.items()}
 
 
-def jackknife(left_out: Array) -> Array:
-    """Standard deviation of an estimate from its values with one block left out at a time, ``(b, ...)``.
-
-    It tells how much one part of the drive decides.
-    """
-    return np.sqrt((len(left_out) - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-
-
 def robust_mean(values: Array, *, name: str, unit: str, blocks: int = 20) -> Measured:
     """Median of a time series with an interval that survives correlation: medians of successive blocks.
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array, IntArray
 from vislam.core.rigid_fit import RigidFit
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3
-from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
+from vislam.inspection.finding import Finding, Measured, robust_sigma
 from vislam.repair import RepairConfig
 
 _AXES = "xyz"

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.rigid_fit import RigidFit, continuations
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3
-from vislam.inspection.finding import Finding, Measured, jackknife, robust_sigma
+from vislam.inspection.finding import Finding, Measured, robust_sigma
 
 _SPANS = (1, 2, 4, 8)
 _FEW, _MANY = 0.02, 0.15

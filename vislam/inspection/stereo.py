@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array, IntArray
 from vislam.core.rigid_fit import Continuations, RigidFit, continuations, predicted_steps, rigid_fits
 from vislam.core.sequence import Sequence
-from vislam.inspection.finding import Finding, Measured, jackknife
+from vislam.inspection.finding import Finding, Measured
 from vislam.repair import RepairConfig
 from vislam.repair.pixels import DisparityOffset
 

@@ -9,9 +9,10 @@ from itertools import permutations, product
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array
 from vislam.geometry import so3
-from vislam.inspection.finding import Finding, Measured, jackknife
+from vislam.inspection.finding import Finding, Measured
 from vislam.inspection.inertia.forces import Forces, fall
 from vislam.inspection.inertia.turns import Turns
 from vislam.inspection.mounting import MARGIN, NEAR_DEG, clearly_better

@@ -7,13 +7,13 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.comparison.config import Config
 from vislam.core.imu import ImuSeries
+from vislam.core.integrals import Integral
 from vislam.core.sequence import Sequence
 from vislam.initialisation import InitialisationSettings
 from vislam.inspection.finding import Finding
 from vislam.inspection.inertia import axes, levels, noise, samples, start, turns, units
 from vislam.inspection.inertia.camera import CameraRun, camera_runs
 from vislam.inspection.inertia.forces import Forces, fall
-from vislam.inspection.inertia.integrals import Integral
 from vislam.inspection.motion import LAGS_S, judged_clock
 from vislam.models.imu import ImuNoise
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from vislam.base.types import Array, IntArray
 from vislam.core.imu import ImuSeries
+from vislam.core.integrals import Integral, covered
 from vislam.inspection.inertia.camera import CameraRun
-from vislam.inspection.inertia.integrals import Integral, covered
 
 SPAN_S = 0.25
 """From one frame of the three to the next: long enough for the camera's noise, short enough to be local."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.core.imu import ImuSeries
+from vislam.core.integrals import covered
 from vislam.core.sequence import Sequence
 from vislam.core.still import still_frames, stops
 from vislam.initialisation import InitialisationSettings, NotFoundError
@@ -16,7 +17,6 @@ from vislam.initialisation.refinement import refine
 from vislam.initialisation.window import window_of
 from vislam.inspection.finding import Finding, Measured
 from vislam.inspection.inertia.allan import Allan, allan
-from vislam.inspection.inertia.integrals import covered
 from vislam.models.imu import ImuNoise
 
 CHECK = "imu noise"

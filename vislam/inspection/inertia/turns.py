@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vislam.base.resampling import jackknife
 from vislam.base.types import Array, BoolArray
 from vislam.core.imu import ImuSeries
+from vislam.core.integrals import Integral, covered
 from vislam.core.sequence import Sequence
 from vislam.geometry import so3
-from vislam.inspection.finding import Measured, jackknife
+from vislam.inspection.finding import Measured
 from vislam.inspection.inertia.camera import CameraRun, turns_over
-from vislam.inspection.inertia.integrals import Integral, covered
 from vislam.inspection.motion import LAGS_S, best_lag
 
 _SPAN_S, _SMALL = 0.3, 0.06
