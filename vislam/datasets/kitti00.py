@@ -1,10 +1,12 @@
 """Real stereo tracks that come with GTSAM: the first 16 s of KITTI odometry 00, as of its VO example.
 
-They have no inertial data. The twist of each step is made from the poses of a visual odometry that the
-example brings, with white noise added. The tracks, the camera and the noise of the tracks are real.
+They have no odometry. The twist of each step is made from the poses of a visual odometry that the example
+brings, with white noise added. The tracks, the camera and the noise of the tracks are real. Another example
+brings raw inertia of the same drive (:mod:`vislam.datasets.kitti00_inertia`).
 """
 
 import hashlib
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,6 +17,15 @@ from vislam.base.types import Array
 from vislam.core.reference import Reference
 from vislam.core.sequence import Sequence, piecewise_constant
 from vislam.datasets.kitti00_batch import batch_poses
+from vislam.datasets.kitti00_inertia import (
+    FILE,
+    IMU_T_CAM,
+    covered_from,
+    describe,
+    find_drive,
+    level,
+    read_inertia,
+)
 from vislam.datasets.recording import Opening, Recording
 from vislam.datasets.settings import Kitti00
 from vislam.datasets.text import read_table
@@ -24,26 +35,45 @@ from vislam.models import CAMERA_AXES, StereoRig
 _PERIOD = 0.1037
 """Mean camera period of KITTI odometry 00 [s]; the files number the frames and have no stamps."""
 _NAME = "KITTI 00 tracks with made odometry"
+_INERTIAL = "KITTI 00 tracks with raw inertia"
+_CAMERA = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
+"""Where the camera is in a body that sits in it, x forward, y left, z up."""
 
 
 def read(source: Kitti00, opening: Opening) -> Recording:
     """Read the tracks, and make the odometry with the noise that is asked for."""
     sequence, reference = load_kitti00(
-        gyro_sigma=source.gyro_sigma, velocity_sigma=source.velocity_sigma, seed=opening.seed
+        gyro_sigma=source.gyro_sigma,
+        velocity_sigma=source.velocity_sigma,
+        seed=opening.seed,
+        imu_T_cam=IMU_T_CAM if source.imu else _CAMERA,
     )
-    note = (
-        "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they have no inertial data, so the "
-        f"twist is that of their visual odometry with noise added, {source.gyro_sigma:g} rad/s and "
-        f"{source.velocity_sigma:g} m/s. The reference is the {reference.name}, {reference.limits}"
+    made = (
+        f"the twist is that of their visual odometry with noise added, {source.gyro_sigma:g} rad/s and "
+        f"{source.velocity_sigma:g} m/s"
     )
-    return Recording(sequence, reference, notes=(note,))
+    if source.imu:
+        sequence, reference, found = with_inertia(sequence, reference)
+        note = (
+            "the stereo tracks are real, KITTI odometry 00, and so are accelerometer and gyro of the same "
+            f"drive, {FILE}: {found}. MADE ODOMETRY: {made}; motion: imu makes no use of it"
+        )
+    else:
+        note = (
+            "MADE ODOMETRY: the stereo tracks are real, KITTI odometry 00; they are read without inertial "
+            f"data, so {made}"
+        )
+    return Recording(
+        sequence, reference, notes=(f"{note}. The reference is the {reference.name}, {reference.limits}",)
+    )
 
 
-def load_kitti00(*, gyro_sigma: float, velocity_sigma: float, seed: int) -> tuple[Sequence, Reference]:
+def load_kitti00(
+    *, gyro_sigma: float, velocity_sigma: float, seed: int, imu_T_cam: Array = _CAMERA
+) -> tuple[Sequence, Reference]:
     """Read the tracks, make the odometry, and solve for the reference, which takes seconds.
 
-    There are 135 frames with numbers from 0 to 153; 19 were left out by those who made the files. The body
-    sits in the left camera, x forward, y left, z up.
+    There are 135 frames with numbers from 0 to 153; 19 were left out by those who made the files.
 
     Parameters
     ----------
@@ -51,6 +81,8 @@ def load_kitti00(*, gyro_sigma: float, velocity_sigma: float, seed: int) -> tupl
         White noise of the twist over a camera period [rad/s, m/s]; a step of two periods has less of it.
     seed : int
         Seed of that noise.
+    imu_T_cam : (4, 4)
+        Where the left camera is in the body; by default the body sits in it, x forward, y left, z up.
 
     Returns
     -------
@@ -63,18 +95,65 @@ def load_kitti00(*, gyro_sigma: float, velocity_sigma: float, seed: int) -> tupl
     DataError
         If the installed GTSAM does not bring the files.
     """
-    number, world_T_imu = _visual_odometry()
-    sequence = _sequence(number, world_T_imu, np.repeat([gyro_sigma, velocity_sigma], 3), seed=seed)
-    pose = batch_poses(sequence, world_T_imu)
-    reference = Reference(
+    number, world_T_imu = _visual_odometry(imu_T_cam)
+    sigma = np.repeat([gyro_sigma, velocity_sigma], 3)
+    sequence = _sequence(number, world_T_imu, sigma, seed=seed, imu_T_cam=imu_T_cam)
+    return sequence, _reference(
+        batch_poses(sequence, world_T_imu), limits="not independent of the estimates: same tracks"
+    )
+
+
+def with_inertia(sequence: Sequence, reference: Reference) -> tuple[Sequence, Reference, str]:
+    """Frames that accelerometer and gyro cover, with their samples, the reference levelled, and an account.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        All frames, the body being the inertial sensor.
+    reference : Reference
+        With the poses of all frames, by the tracks alone.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, or is of another drive.
+    """
+    assert reference.pose is not None
+    path = _file(FILE)
+    series = read_inertia(path)
+    found = find_drive(sequence.stamp, reference.pose, series, where=str(path))
+    account = describe(found, float(series.stamp[0]))
+    series = replace(series, stamp=series.stamp - found.offset)
+    first = covered_from(sequence.stamp, series)
+    part, pose = sequence.part(first, len(sequence)), reference.pose[first:]
+    up = se3.from_rotation_translation(level(part.stamp, pose, series), np.zeros(3))
+    limits = f"{reference.limits}; levelled by the mean of the accelerometer"
+    digest = hashlib.sha256(
+        f"{part.digest}|{first}".encode() + series.accel.tobytes() + series.gyro.tobytes()
+    )
+    inertial = replace(
+        part,
+        name=_INERTIAL,
+        imu=series,
+        digest=digest.hexdigest(),
+        counts={**part.counts, "frames": len(part), "frames_before_inertia": first, **series.counts},
+    )
+    return (
+        inertial,
+        _reference(up @ pose, limits=limits),
+        f"{account}; the run begins at frame {first}, which they cover",
+    )
+
+
+def _reference(pose: Array, *, limits: str) -> Reference:
+    return Reference(
         name="batch solution of the same tracks",
-        limits="not independent of the estimates: same tracks",
+        limits=limits,
         frame=np.arange(len(pose)),
         position=pose[:, :3, 3],
         pose=pose,
         imu_T_point=np.eye(4),
     )
-    return sequence, reference
 
 
 def _file(name: str) -> Path:
@@ -87,25 +166,23 @@ def _file(name: str) -> Path:
     return path
 
 
-def _rig() -> StereoRig:
+def _rig(imu_T_cam: Array) -> StereoRig:
     table, _ = read_table(_file("VO_calibration00.txt"), columns=6)
     fx, fy, _, cx, cy, baseline = (float(number) for number in table[0])
-    mounting = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
-    return StereoRig(fx, fy, cx, cy, baseline, mounting)
+    return StereoRig(fx, fy, cx, cy, baseline, imu_T_cam)
 
 
-def _visual_odometry() -> tuple[Array, Array]:
+def _visual_odometry(imu_T_cam: Array) -> tuple[Array, Array]:
     """Numbers of the frames ``(T,)`` and poses ``(T, 4, 4)`` of the body, from the first one."""
     table, _ = read_table(_file("VO_camera_poses00.txt"), columns=17)
     matrix = table[:, 1:].reshape(-1, 4, 4)
     # Six digits are printed; the nearest rotation is taken.
     u, _, vt = np.linalg.svd(matrix[:, :3, :3])
     first_T_cam = se3.from_rotation_translation(u @ vt, matrix[:, :3, 3])
-    imu_T_cam = se3.from_rotation_translation(CAMERA_AXES, np.zeros(3))
     return table[:, 0], imu_T_cam @ first_T_cam @ se3.inverse(imu_T_cam)
 
 
-def _sequence(number: Array, world_T_imu: Array, sigma: Array, *, seed: int) -> Sequence:
+def _sequence(number: Array, world_T_imu: Array, sigma: Array, *, seed: int, imu_T_cam: Array) -> Sequence:
     table, _ = read_table(_file("VO_stereo_factors00.txt"), columns=8)
     frame = np.searchsorted(number, table[:, 0])
     order = np.lexsort((table[:, 1], frame))
@@ -124,7 +201,7 @@ def _sequence(number: Array, world_T_imu: Array, sigma: Array, *, seed: int) -> 
         inertial_stamp=inertial_stamp,
         twist=twist,
         vertical_velocity=np.full(len(inertial_stamp), np.nan),
-        rig=_rig(),
+        rig=_rig(imu_T_cam),
         offset=np.searchsorted(frame, np.arange(len(stamp) + 1)),
         track=track,
         pixels=pixels,

@@ -85,6 +85,9 @@ class Kitti00:
     """White noise of the made angular velocity, one value a frame [rad/s]."""
     velocity_sigma: NonNegative = 0.5
     """White noise of the made velocity, one value a frame [m/s]."""
+    imu: bool = False
+    """Whether to have accelerometer and gyro of the same drive, also from GTSAM's examples, with the frames
+    from the 14th on, which they cover; the body is then the inertial sensor."""
 
 
 RecordedFile = CourseNpz | CourseNpy | ClementMat | TracksNpz
