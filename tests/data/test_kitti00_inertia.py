@@ -88,6 +88,8 @@ def test_the_inertia_of_kitti_00_is_that_of_its_tracks(recording):
     assert len(sequence) == 121
     assert sequence.counts["frames_before_inertia"] == 14
     assert sequence.stamp[0] == pytest.approx(14 * 0.1037)
+    # It is a recording of its own: its observations are counted from the first of these frames.
+    assert np.array_equal(sequence.row, np.arange(sequence.observations))
     steps = list(sequence.imu.steps(sequence.stamp))
     assert all(step.known.all() for step in steps)
     seen = turns(recording.reference.pose)

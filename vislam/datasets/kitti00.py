@@ -134,9 +134,16 @@ def with_inertia(sequence: Sequence, reference: Reference) -> tuple[Sequence, Re
     inertial = replace(
         part,
         name=_INERTIAL,
+        row=np.arange(part.observations),
         imu=series,
         digest=digest.hexdigest(),
-        counts={**part.counts, "frames": len(part), "frames_before_inertia": first, **series.counts},
+        counts={
+            "frames": len(part),
+            "frames_before_inertia": first,
+            "feature_columns": len(np.unique(part.track)),
+            "observations_read": part.observations,
+            **series.counts,
+        },
     )
     return (
         inertial,
