@@ -27,8 +27,6 @@ HEIGHT_SIGMA = 0.02
 """White error of the height against the integrated vertical velocity [m]."""
 UNKNOWN_VERTICAL_VELOCITY = 5.0
 """Standard deviation of the vertical velocity where a step has none [m/s]."""
-UNKNOWN_INERTIA = (0.5, 5.0)
-"""Standard deviations of the mean rate [rad/s] and force [m/s^2] of an interval that no samples cover."""
 FIRST_TWIST_S = 1000.0
 """Of the first twist as much is known beforehand as this time after the first inertial sample [s]."""
 

@@ -1,15 +1,19 @@
 """Samples of an accelerometer and a gyro: the series of a recording, and what lies between two frames."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vislam.base.arrays import immutable
 from vislam.base.types import Array, BoolArray
+from vislam.models.imu import ImuNoise
+from vislam.models.preintegration import Preintegrated, preintegrate
 
 _GAP = 2.5
 """Samples farther apart than so many usual periods have a gap between them."""
+_UNKNOWN = (0.5, 5.0)
+"""Standard deviations of the mean rate [rad/s] and force [m/s^2] of an interval that no samples cover."""
 _SAME = 1e-6
 """A sample nearer to a frame's time than this is that of the frame [s]."""
 
@@ -152,6 +156,20 @@ class ImuStep:
     accel: Array
     known: BoolArray
 
+    @classmethod
+    def joined(cls, steps: Sequence["ImuStep"]) -> "ImuStep":
+        """Return the step over several that follow each other."""
+        if len(steps) == 1:
+            return steps[0]
+        parts = [(step.stamp, step.gyro, step.accel) for step in steps]
+        # The first sample of a step is the last one of the step before.
+        stamp, gyro, accel = (
+            np.concatenate([series[0], *(later[1:] for later in series[1:])])
+            for series in zip(*parts, strict=True)
+        )
+        known = np.concatenate([step.known for step in steps])
+        return cls(immutable(stamp), immutable(gyro), immutable(accel), immutable(known))
+
     @property
     def dt(self) -> Array:
         """Lengths of the intervals, ``(m,)`` [s]."""
@@ -166,6 +184,21 @@ class ImuStep:
     def mean_accel(self) -> Array:
         """Mean specific force over each interval, ``(m, 3)`` [m/s^2]."""
         return np.asarray(0.5 * (self.accel[1:] + self.accel[:-1]))
+
+    def preintegrated(self, noise: ImuNoise, gyro_bias: Array, accel_bias: Array) -> Preintegrated:
+        """Relative motion over the step, at some biases ``(3,)`` [rad/s], [m/s^2].
+
+        Over an interval that no samples cover, what lines make of it is off by 0.5 rad/s and 5 m/s^2.
+        """
+        return preintegrate(
+            self.dt,
+            self.mean_gyro,
+            self.mean_accel,
+            gyro_bias=gyro_bias,
+            accel_bias=accel_bias,
+            noise=noise,
+            unknown=None if self.known.all() else np.where(self.known[:, None], 0.0, np.square(_UNKNOWN)),
+        )
 
     @property
     def missing(self) -> float:

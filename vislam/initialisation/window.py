@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.core.estimator import UNKNOWN_INERTIA
 from vislam.core.imu import ImuStep
 from vislam.core.rigid_fit import (
     FEWEST,
@@ -20,7 +19,7 @@ from vislam.core.rigid_fit import (
 from vislam.core.sequence import Sequence
 from vislam.geometry import se3
 from vislam.models.imu import ImuNoise
-from vislam.models.preintegration import Preintegrated, preintegrate
+from vislam.models.preintegration import Preintegrated
 
 _SAME = 1e-6
 """Times nearer than this are the same [s]."""
@@ -80,18 +79,7 @@ class Window:
 
     def preintegrated(self, noise: ImuNoise, gyro_bias: Array, accel_bias: Array) -> list[Preintegrated]:
         """Inertial motion of each step."""
-        return [
-            preintegrate(
-                step.dt,
-                step.mean_gyro,
-                step.mean_accel,
-                gyro_bias=gyro_bias,
-                accel_bias=accel_bias,
-                noise=noise,
-                unknown=np.where(step.known[:, None], 0.0, np.square(UNKNOWN_INERTIA)),
-            )
-            for step in self.inertia
-        ]
+        return [step.preintegrated(noise, gyro_bias, accel_bias) for step in self.inertia]
 
     def poses(self) -> Array:
         """Poses ``first_T_k (K + 1, 4, 4)`` of the body by the tracks."""

@@ -26,7 +26,7 @@ import numpy as np
 
 from vislam.base.types import Array
 from vislam.geometry import se3, so3
-from vislam.models.imu import ImuNoise
+from vislam.models.imu import IMU_NAV, ImuNoise
 
 MOTION = slice(0, 9)
 """Where the relative motion stands in the covariance, and behind it the biases."""
@@ -95,6 +95,29 @@ class Preintegrated:
             ahead = ahead - np.cross(earth_rate, by_rate)
             turned = so3.exp(-time * earth_rate) @ turned
         return se3.from_rotation_translation(turned, pose[:3, 3] + ahead), after
+
+    def linear(self, turn: Array) -> tuple[Array, Array]:
+        """Transition F and noise Q ``(15, 15)`` of the error over the step.
+
+        The error is (omega, v) of the pose on its right, of the velocity in the world, of the biases of gyro
+        and accelerometer; derivatives of :meth:`predict`.
+
+        Parameters
+        ----------
+        turn : (3, 3)
+            Attitude ``world_R_imu`` at the beginning of the step.
+        """
+        back = self.rotation.T
+        # From (theta, p, v) of the step, the latter two in the first body, to pose and velocity.
+        to_error = np.eye(IMU_NAV)
+        to_error[3:6, 3:6], to_error[6:9, 6:9] = back, turn
+        transition = np.eye(IMU_NAV)
+        transition[:3, :3] = transition[3:6, 3:6] = back
+        transition[3:6, :3] = -back @ so3.hat(self.position)
+        transition[3:6, 6:9] = self.time * back @ turn.T
+        transition[6:9, :3] = -turn @ so3.hat(self.velocity)
+        transition[MOTION, BIASES] = to_error[MOTION, MOTION] @ self.by_bias
+        return transition, np.asarray(to_error @ self.cov @ to_error.T)
 
 
 def preintegrate(

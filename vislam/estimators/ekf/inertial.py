@@ -21,17 +21,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import UNKNOWN_INERTIA, Inertia, Problem
+from vislam.core.estimator import Inertia, Problem
 from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
 from vislam.geometry import se3, so3
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, IMU_NAV, STATES, VELOCITY
-from vislam.models.preintegration import BIASES, MOTION, Preintegrated, preintegrate
-
-_VELOCITY = slice(6, 9)
-_UNKNOWN = np.square(UNKNOWN_INERTIA)
+from vislam.models.preintegration import Preintegrated
 
 
 class InertialMotion:
@@ -99,15 +96,8 @@ class InertialMotion:
         return None
 
     def _preintegrated(self, layout: NavLayout, nav: Array, step: ImuStep) -> Preintegrated:
-        return preintegrate(
-            step.dt,
-            step.mean_gyro,
-            step.mean_accel,
-            gyro_bias=nav[layout[GYRO_BIAS]],
-            accel_bias=nav[layout[ACCEL_BIAS]],
-            noise=self._inertia.noise,
-            unknown=None if step.known.all() else np.where(step.known[:, None], 0.0, _UNKNOWN),
-        )
+        biases = nav[layout[GYRO_BIAS]], nav[layout[ACCEL_BIAS]]
+        return step.preintegrated(self._inertia.noise, *biases)
 
 
 def _linear(layout: NavLayout, turn: Array, step: Preintegrated) -> tuple[Array, Array]:
@@ -115,18 +105,7 @@ def _linear(layout: NavLayout, turn: Array, step: Preintegrated) -> tuple[Array,
 
     The blocks stand right behind the pose, in the order of a preintegrated step and its biases.
     """
-    back = step.rotation.T
-    # From (theta, p, v) of the step, the latter two in the first body, to the errors of pose and velocity.
-    to_error = np.zeros((IMU_NAV, IMU_NAV))
-    to_error[:3, :3] = to_error[9:12, 9:12] = to_error[12:, 12:] = np.eye(3)
-    to_error[3:6, 3:6] = back
-    to_error[6:9, 6:9] = turn
-    transition = np.eye(layout.size)
-    transition[:3, :3] = transition[3:6, 3:6] = back
-    transition[3:6, :3] = -back @ so3.hat(step.position)
-    transition[3:6, _VELOCITY] = step.time * back @ turn.T
-    transition[_VELOCITY, :3] = -turn @ so3.hat(step.velocity)
-    transition[MOTION, BIASES] = to_error[MOTION, MOTION] @ step.by_bias
-    noise = np.zeros((layout.size, layout.size))
-    noise[:IMU_NAV, :IMU_NAV] = to_error @ step.cov @ to_error.T
+    transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
+    own = slice(0, IMU_NAV)
+    transition[own, own], noise[own, own] = step.linear(turn)
     return transition, noise

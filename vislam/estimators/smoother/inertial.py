@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.core.estimator import UNKNOWN_INERTIA, Inertia, Problem
+from vislam.core.estimator import Inertia, Problem
 from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
 from vislam.core.step import State
@@ -23,7 +23,6 @@ from vislam.estimators.smoother.engine import Engine
 from vislam.estimators.smoother.keys import B, V, X
 from vislam.estimators.smoother.pixel_errors import KnownCamera
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, VELOCITY, ImuNoise, ImuPrior
-from vislam.models.preintegration import preintegrate
 
 _SMALLEST_WALK = 1e-9
 """A bias that is said not to walk walks by this, as a singular covariance has no inverse [.../sqrt(s)]."""
@@ -125,15 +124,8 @@ class InertialMotion(KnownCamera):
         Its residual, what is predicted less what is, has position and velocity in the last body and the
         accelerometer's bias in front of the gyro's.
         """
-        found = preintegrate(
-            step.dt,
-            step.mean_gyro,
-            step.mean_accel,
-            gyro_bias=self._bias.gyroscope(),
-            accel_bias=self._bias.accelerometer(),
-            noise=self._inertia.noise,
-            unknown=np.where(step.known[:, None], 0.0, np.square(UNKNOWN_INERTIA)),
-        )
+        biases = self._bias.gyroscope(), self._bias.accelerometer()
+        found = step.preintegrated(self._inertia.noise, *biases)
         turn = np.zeros((15, 15))
         turn[:3, :3] = np.eye(3)
         turn[3:6, 3:6] = turn[6:9, 6:9] = found.rotation.T
