@@ -426,7 +426,9 @@ def pixel_sigma(config: Config, dataset: Dataset) -> Array:
 
 
 def _track_noise(config: Config) -> TrackNoise:
-    return TrackNoise(config.noise.pixel_sigma_px, config.noise.drift_px, config.noise.matching_bias_px)
+    """Noise of the tracks; the tracker goes on between keyframes, and so does its drift."""
+    drift = config.noise.drift_px * float(np.sqrt(config.data.keyframe_every))
+    return TrackNoise(config.noise.pixel_sigma_px, drift, config.noise.matching_bias_px)
 
 
 def identify(config: Config, dataset: Dataset, *, folders: list[Path]) -> str:

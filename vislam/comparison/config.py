@@ -185,6 +185,10 @@ class DataConfig:
     """The repairs, each by its name; they hold for a recording and for its synthetic substitute."""
     landmarks: LandmarksConfig = LandmarksConfig()
     """Landmarks seen again: whether a track id that comes back is the landmark that it was."""
+    keyframe_every: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Every so many frames is a keyframe, from the first on. The observations of the frames between are given
+    to no estimator, and their poses are predicted by raw inertia (``motion: imu``); smoothers have variables
+    and one inertial factor a keyframe. 1: all frames are keyframes."""
     reference: ReferenceConfig | None = None
     """Reference trajectory of the recording; null: what comes with the source."""
     reference_accuracy: ReferenceAccuracy | None = None
@@ -488,9 +492,21 @@ class Config:
     """Seed of whatever is simulated."""
 
     def __post_init__(self) -> None:
-        """Reject lags that are out of order."""
+        """Reject lags that are out of order, and keyframes without what predicts the frames between."""
         if list(self.lags) != sorted(set(self.lags)):
             raise ValueError(f"lags: expected increasing numbers of frames, got {list(self.lags)}")
+        if self.data.keyframe_every == 1:
+            return
+        if self.motion != "imu":
+            raise ValueError(
+                f"data.keyframe_every: {self.data.keyframe_every} leaves frames whose poses raw inertia "
+                f"predicts, and motion is {self.motion}; set it to 1, or motion to imu"
+            )
+        if self.lags:
+            raise ValueError(
+                "lags: a smoother has no poses of the frames between keyframes to read again; set "
+                "data.keyframe_every to 1, or lags to []"
+            )
 
 
 def load(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Config:

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 
+import numpy as np
+
 from vislam.base.errors import ConfigError
 from vislam.comparison.config import Config
 from vislam.comparison.open import Dataset
@@ -58,15 +60,22 @@ def _standing(config: Config, dataset: Dataset, noise: ImuNoise) -> Standstill |
         return None
     if dataset.standstill is not None:
         return dataset.standstill
-    pixels = config.noise.pixel_sigma_px
-    return standstill(dataset.sequence, noise, pixel_sigma=pixels, slowest=wanted.slowest, sigma=wanted.sigma)
+    sequence, pixels = dataset.sequence, config.noise.pixel_sigma_px
+    found = standstill(
+        sequence.at_keyframes(), noise, pixel_sigma=pixels, slowest=wanted.slowest, sigma=wanted.sigma
+    )
+    if sequence.keyframe is None:
+        return found
+    frames = np.zeros(len(sequence), bool)
+    frames[sequence.keyframe] = found.frames
+    return replace(found, frames=frames)
 
 
 def _found(sequence: Sequence, noise: ImuNoise) -> ImuPrior:
     """First state from the data; ConfigError with the reason if they do not tell it."""
     settings = InitialisationSettings()
     try:
-        return initialise(sequence, noise, settings).as_prior(settings)
+        return initialise(sequence.at_keyframes(), noise, settings).as_prior(settings)
     except NotFoundError as why:
         raise ConfigError(
             f"motion: imu starts from attitude, velocity and biases, and {sequence.name} does not tell them: "

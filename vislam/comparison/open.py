@@ -116,7 +116,8 @@ def open_dataset(
     raw = open_recording(config, opening, allow_substitute=allow_substitute)
     wrong = () if raw.sequence.synthetic else _implausible(raw.sequence, config)
     sequence, kept_back = _parted(raw.sequence, config, held_out)
-    dataset = Dataset(sequence, _with_landmarks(raw, sequence), raw.notes, wrong, kept_back, raw.strip)
+    notes = (*raw.notes, *_of_keyframes(sequence, config))
+    dataset = Dataset(sequence, _with_landmarks(raw, sequence), notes, wrong, kept_back, raw.strip)
     return dataset if raw.sequence.synthetic else _measured(_redrawn(dataset, config, seed))
 
 
@@ -291,7 +292,10 @@ def _parted(
 
 
 def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
+    """Repaired sequence of what is given, with the observations at keyframes alone if that is configured."""
     sequence = repair.apply(sequence, config.repairs)
+    if config.keyframe_every > 1:
+        sequence = sequence.with_keyframes(config.keyframe_every)
     counts = {
         **sequence.counts,
         "landmarks": len(np.unique(sequence.track)),
@@ -299,6 +303,18 @@ def _repaired(sequence: Sequence, config: DataConfig) -> Sequence:
     }
     _log.info("%s: %s", sequence.name, ", ".join(f"{key} {value}" for key, value in counts.items()))
     return replace(sequence, counts=counts)
+
+
+def _of_keyframes(sequence: Sequence, config: DataConfig) -> list[str]:
+    """Note on what is left out between keyframes, if anything is."""
+    if sequence.keyframe is None:
+        return []
+    dropped = sequence.counts["dropped_between_keyframes"]
+    return [
+        f"KEYFRAMES: one frame in {config.keyframe_every}, {sequence.counts['keyframes']} of "
+        f"{len(sequence)}; of {dropped + sequence.observations} observations the {dropped} of frames between "
+        "are given to no estimator, and the poses of these frames are predicted by inertia"
+    ]
 
 
 def _taken(sequence: Sequence) -> str:

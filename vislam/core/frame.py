@@ -67,6 +67,9 @@ class Frame:
     odometry : OdometryStep
     imu : ImuStep or None
         Samples of accelerometer and gyro since the frame before; None where the recording has none.
+    keyframe : bool
+        Whether its observations are given. If not, it has none, and tracks go on from the keyframe before to
+        the one after; its pose is to be predicted.
     """
 
     k: int
@@ -75,3 +78,4 @@ class Frame:
     stereo: StereoFrame
     odometry: OdometryStep
     imu: ImuStep | None = None
+    keyframe: bool = True

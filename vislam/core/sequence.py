@@ -83,6 +83,8 @@ class Sequence:
     start : ImuPrior or None
         What is known of the state at the first frame, if the recording says so, as a simulation does; None
         where it is to be found from the data.
+    keyframe : (T,) or None
+        Which frames have observations that are given; None: all do.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Sequence:
     repairs: tuple[Repair, ...] = ()
     imu: ImuSeries | None = None
     start: ImuPrior | None = None
+    keyframe: BoolArray | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -161,6 +164,32 @@ class Sequence:
             track=self.track[rows],
             pixels=self.pixels[rows],
             row=self.row[rows],
+            keyframe=None if self.keyframe is None else self.keyframe[begin:end],
+        )
+
+    def with_keyframes(self, every: int) -> "Sequence":
+        """Return the sequence whose frames between keyframes have no observations.
+
+        Keyframes are the first frame and every ``every``-th from there.
+        """
+        keyframe = np.arange(len(self)) % every == 0
+        kept = keyframe[self.frame_of]
+        return replace(
+            self.select(
+                kept,
+                keyframes=int(np.count_nonzero(keyframe)),
+                dropped_between_keyframes=int(np.count_nonzero(~kept)),
+            ),
+            keyframe=keyframe,
+        )
+
+    def at_keyframes(self) -> "Sequence":
+        """Return the sequence of the keyframes alone, which follow each other; itself if all frames are."""
+        if self.keyframe is None:
+            return self
+        rows = np.flatnonzero(self.keyframe)
+        return replace(
+            self, stamp=self.stamp[rows], offset=self.offset[np.append(rows, len(self))], keyframe=None
         )
 
     def mask_of(self, frame: IntArray, track: IntArray) -> BoolArray:
@@ -232,6 +261,7 @@ class Sequence:
                 stereo=StereoFrame(track[rows], z[rows], sigma[rows], usable[rows]),
                 odometry=OdometryStep(twist[k], change[k], float(rise[k])),
                 imu=inertia,
+                keyframe=self.keyframe is None or k == 0 or bool(self.keyframe[k]),
             )
 
     def step_means(self) -> tuple[Array, Array]:

@@ -87,7 +87,9 @@ class EkfEstimator:
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
-        self._record_marginalised(self._staying(self.state, _places(self.state.track, frame.stereo.track)))
+        if frame.keyframe:
+            staying = self._staying(self.state, _places(self.state.track, frame.stereo.track))
+            self._record_marginalised(staying)
         if self._recorder is not None:
             record = self._recorder.take(self.state, frame)
             steps = self._recorder.latest
@@ -138,6 +140,8 @@ class EkfEstimator:
 
     def _advance(self, state: JointState, frame: Frame) -> Step:
         """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
+        if not frame.keyframe:
+            return self._passed(state, frame)
         usable = frame.stereo.usable
         rows = _places(state.track, frame.stereo.track)
         staying = self._staying(state, rows)
@@ -176,6 +180,18 @@ class EkfEstimator:
             log_likelihood=told + density if gaussian else float("nan"),
             used=used,
             gated=all_gated,
+        )
+
+    def _passed(self, state: JointState, frame: Frame) -> Step:
+        """Take a state over a frame between keyframes: predict, and keep all landmarks."""
+        state.predict(self._motion.propagate(self._layout, state.world_T_imu, state.nav, frame))
+        if self._options.smoothed or self._last is not None:
+            state.note_pose()
+        return Step(
+            pose=state.world_T_imu,
+            pose_cov=state.cov[POSE, POSE].copy(),
+            states=reported(self._motion, self._layout, state.nav, state.cov),
+            log_likelihood=0.0 if self._problem.kernel is None else float("nan"),
         )
 
     def _add_drift(self, state: JointState, view: View, slots: IntArray) -> None:

@@ -56,6 +56,7 @@ class MsckfEstimator:
         self._gates = options.gate and problem.gate_probability < 1.0
         self._pending = Pending()
         self._past: list[tuple[Array, Array]] = []
+        self._between: set[int] = set()
         self._lags = None if problem.lags is None else LagReader(problem.lags)
         self._fused: list[Packed] = []
         self._gated: list[Packed] = []
@@ -77,9 +78,15 @@ class MsckfEstimator:
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
         self._move(frame)
+        if not frame.keyframe:
+            return Step(
+                pose=self.window.poses[-1].copy(),
+                pose_cov=self.window.pose_cov(-1),
+                states=reported(self._motion, self.window.layout, self.window.nav, self.window.cov),
+            )
         gained = self._measure(frame)
         self._pending.take(frame)
-        full = len(self.window.poses) > self._options.window
+        full = self._keyframes(self.window.frames) > self._options.window
         ended = self._pending.release(
             frame.stereo.track, longest=self._longest, oldest=int(self.window.frames[0]) if full else _NEVER
         )
@@ -114,18 +121,28 @@ class MsckfEstimator:
         )
 
     def _move(self, frame: Frame) -> None:
-        """Clone the pose, let the oldest clone go if there are too many, and predict."""
+        """Clone the pose, let the oldest clones go if there are too many keyframes, and predict.
+
+        Between keyframes poses are cloned, too, for what later ones tell of them.
+        """
         window = self.window
+        if not frame.keyframe:
+            self._between.add(frame.k)
         if frame.k == 0:
             window.nav = self._motion.first(window.layout, window.nav, frame)
             return
         window.clone()
-        clones = len(window.poses) - 1
-        if clones > self._options.window:
+        clones = window.frames[:-1]
+        while self._keyframes(clones) > self._options.window or int(clones[0]) in self._between:
             self._past.append((window.poses[0].copy(), window.pose_cov(0)))
-            window.keep(np.arange(clones) > 0)
+            window.keep(np.arange(len(clones)) > 0)
+            clones = clones[1:]
         step = self._motion.propagate(window.layout, window.poses[-1], window.nav, frame)
         window.predict(step, frame.k)
+
+    def _keyframes(self, frames: IntArray) -> int:
+        """How many of some frames are keyframes."""
+        return sum(frame not in self._between for frame in frames.tolist())
 
     def _measure(self, frame: Frame) -> Array:
         """Fuse what the model of motion measures; returns what it gained on motions of the world ``(6,)``."""

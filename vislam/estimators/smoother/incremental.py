@@ -16,6 +16,7 @@ from vislam.core.step import Final, State, Step
 from vislam.core.trajectory import Landmarks, Poses
 from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
+from vislam.estimators.smoother.between import Between
 from vislam.estimators.smoother.descent import Budget, Tell
 from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
@@ -25,6 +26,7 @@ from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.restart import restarted
 from vislam.estimators.smoother.solver import Solver, shared_keys
 from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
+from vislam.models.inertial_gap import InertialState
 from vislam.models.kernel import kernel_name
 from vislam.models.shared_errors import FOCAL_SCALE, OF_PIXELS, SIZES
 
@@ -76,6 +78,9 @@ class SmootherEstimator:
         )
         self._recovery = Recovery(problem.rig, options, self._solver)
         self._frames: list[Frame] = []
+        self._between = Between(problem)
+        # Of a lag, velocities and biases at keyframes as they were when they left it.
+        self._left: list[InertialState] = []
         self._events: list[str] = []
         self._counts = {
             "observations_used_late": 0,
@@ -86,6 +91,11 @@ class SmootherEstimator:
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
+        if not frame.keyframe:
+            return self._between.predict(
+                frame, self._solver.engine, with_cov=self._with_cov(self._frames[-1])
+            )
+        frame = self._between.keyframe(frame)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in self._motion.factors(frame, self._frames[-1] if self._frames else None):
             graph.add(factor)
@@ -105,7 +115,7 @@ class SmootherEstimator:
                 owners.append(track)
         now = list({track.id: track for track in owners}.values())
         self._counts["observations_used_late"] += len(sights) - len(now)
-        solver.keep_leaving(frame)
+        self._keep_leaving(frame)
         try:
             solver.update(frame, graph, values, owners, now)
             newest = [track for track in now if track.views[-1].k == frame.k]
@@ -119,14 +129,25 @@ class SmootherEstimator:
         solver.find_degenerate(seen)
         if self._lags is not None:
             self._lags.take(frame.k, self._read)
-        every = self._options.pose_cov_every
-        states, pose_cov = self._read_newest(frame, with_cov=every > 0 and frame.k % every == 0)
+        states, pose_cov = self._read_newest(frame, with_cov=self._with_cov(frame))
         return Step(
             pose=solver.reported(frame.k),
             pose_cov=pose_cov,
             states=states,
             used=np.isin(frame.stereo.track, [track.id for track in seen]),
         )
+
+    def _with_cov(self, frame: Frame) -> bool:
+        """Whether covariances are asked for at a frame of the graph."""
+        every = self._options.pose_cov_every
+        return every > 0 and frame.k % every == 0
+
+    def _keep_leaving(self, frame: Frame) -> None:
+        """Read what the update with a frame will marginalise."""
+        if self._between.any and self._options.lag_s is not None:
+            held = min(self._solver.held().start, frame.k)
+            self._left += [self._between.state(self._solver.engine, k) for k in range(len(self._left), held)]
+        self._solver.keep_leaving(frame)
 
     def _read_newest(self, frame: Frame, *, with_cov: bool) -> tuple[dict[str, State], Array | None]:
         """States and, if asked for, covariance of the newest pose, which GTSAM may fail to compute."""
@@ -147,16 +168,18 @@ class SmootherEstimator:
         pose_cov = points_cov = fit = None
         if options.lag_s is not None:
             origin = solver.origin() if self._frames else _NOWHERE
-            poses = np.array([*solver.left, *(solver.reported(k) for k in solver.held())])
+            poses = self._lagged_poses()
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
             points = self._world.points(origin, points)
         else:
             drive = Drive(self._problem.rig, self._motion, self._stereo, self._frames, tracks)
             values = self._finish(drive)
+            if self._between.any:
+                drive, values = self._between.whole(drive, values)
             tracks = drive.tracks
             graph_poses = drive.poses(values)
             points = np.array([values.atPoint3(track.key) for track in tracks]).reshape(-1, 3)
-            rotation = self._rotations(values)
+            rotation = self._rotations(drive, values)
             origin = Origin(graph_poses[0], rotation[0]) if len(graph_poses) else _NOWHERE
             poses = self._world.poses(origin, graph_poses, rotation)
             points = self._world.points(origin, points)
@@ -164,7 +187,9 @@ class SmootherEstimator:
                 fit = drive.fit(values)
             if options.marginals != "none" and len(poses):
                 pose_cov, points_cov = self._covariances(drive, values, points)
-        fused = [*tracks, *solver.tracks.former]
+        if options.lag_s is not None:
+            tracks = self._between.renumbered(tracks)
+        fused = [*tracks, *self._between.renumbered(solver.tracks.former)]
         return Final(
             trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
             map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
@@ -187,6 +212,17 @@ class SmootherEstimator:
             lagged=lagged,
         )
 
+    def _lagged_poses(self) -> Array:
+        """Poses ``(T, 4, 4)`` of a lag: as they were when they left it, and those that are still held."""
+        solver, between = self._solver, self._between
+        if not between.any:
+            return np.array([*solver.left, *(solver.reported(k) for k in solver.held())])
+        known = [
+            *self._left,
+            *(between.state(solver.engine, k) for k in range(len(self._left), len(self._frames))),
+        ]
+        return np.array([state.pose for state in between.filled(known)])
+
     def _covariances(self, drive: Drive, values: gtsam.Values, points: Array) -> tuple[Array, Array | None]:
         """Covariances of all poses and, if asked for, landmarks ``(n, 3)``, in the world that is reported."""
         world, landmarks = self._world, self._options.marginals == "all"
@@ -197,7 +233,7 @@ class SmootherEstimator:
         known = GraphCovariances(found.poses, found.poses_shared, found.shared)
         if self._motion.rotation(0) != self._motion.rotation(1):
             known = self._with_own_rotations(drive, values, found.poses)
-        poses, rotation = drive.poses(values), self._rotations(values)
+        poses, rotation = drive.poses(values), self._rotations(drive, values)
         origin = Origin(poses[0], rotation[0])
         pose_cov = world.pose_covariances(origin, poses, rotation, known)
         if not landmarks:
@@ -215,9 +251,9 @@ class SmootherEstimator:
             cross[k], shared[k] = joint[m:, :m], joint[:m, :m]
         return GraphCovariances(own, cross, shared)
 
-    def _rotations(self, values: gtsam.Values) -> Array:
+    def _rotations(self, drive: Drive, values: gtsam.Values) -> Array:
         """Rotations ``(T, 3)`` of the cameras at all frames, 0 where they are known."""
-        keys = [self._motion.rotation(k) for k in range(len(self._frames))]
+        keys = [self._motion.rotation(k) for k in range(len(drive.frames))]
         found = [np.zeros(3) if key is None else values.atVector(key) for key in keys]
         return np.array(found).reshape(-1, 3)
 
