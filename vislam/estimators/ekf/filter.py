@@ -1,5 +1,6 @@
 """EKF SLAM, one frame at a time: marginalise, predict, gate, update, initialise."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,8 +21,9 @@ from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.observed import ObservedUpdate
 from vislam.estimators.ekf.options import EkfOptions
-from vislam.estimators.ekf.propagation import reported
+from vislam.estimators.ekf.propagation import Measurement, reported
 from vislam.estimators.ekf.reweighting import student_weights
+from vislam.estimators.ekf.scores import DRIFT, WHITE, MeasurementNoise, StateNoise, score
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
@@ -42,10 +44,18 @@ class EkfEstimator:
     Attributes
     ----------
     state : JointState
+
+    Parameters
+    ----------
+    problem : Problem
+    options : EkfOptions
+    scored : bool
+        Record what :meth:`scores` needs.
     """
 
-    def __init__(self, problem: Problem, options: EkfOptions) -> None:
+    def __init__(self, problem: Problem, options: EkfOptions, *, scored: bool = False) -> None:
         self._problem = problem
+        self._scored = scored
         self._options = options
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
@@ -67,7 +77,8 @@ class EkfEstimator:
             world_T_imu=start.world_T_imu,
         )
         self._recorder: Recorder | None = None
-        if options.marginalised_landmarks == "smoothed":
+        self._filtered_map = options.marginalised_landmarks == "filtered"
+        if scored or not self._filtered_map:
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = None
         if options.observability:
@@ -110,9 +121,10 @@ class EkfEstimator:
         if self._problem.kernel is not None:
             counts["reweightings_not_converged"] = len(self._not_converged)
         lagged = {} if self._last is None else self._last.poses()
-        if self._recorder is None:
+        if self._filtered_map:
             landmarks = Landmarks.join(self._left[::-1])
         else:
+            assert self._recorder is not None
             found = self.smooth()
             landmarks = found.landmarks
             counts["frames_computed_again"] = self._recorder.again
@@ -133,6 +145,11 @@ class EkfEstimator:
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
+    def scores(self, frames: int) -> Array:
+        """Score ``(T, LEVELS)`` of the noise levels over the frames; for an estimator that is ``scored``."""
+        assert self._recorder is not None
+        return score(self._recorder.backwards(), size=len(self.state.cov), frames=frames)
+
     def matching_biases(self) -> tuple[IntArray, Array, Array]:
         """Tracks that have ended, their stereo-matching biases and the variances of these, ``(m,)`` each."""
         table = np.concatenate(self._matches)
@@ -151,13 +168,19 @@ class EkfEstimator:
         slots = np.flatnonzero(rows >= 0)
         rows = rows[slots]
         state.see(slots, frame.k)
+        before = state.nav
         if frame.k == 0:
-            state.nav = self._motion.first(self._layout, state.nav, frame)
+            state.nav = self._motion.first(self._layout, before, frame)
         else:
-            state.predict(self._motion.propagate(self._layout, state.world_T_imu, state.nav, frame))
+            state.predict(self._motion.propagate(self._layout, state.world_T_imu, before, frame))
+        if self._scored:
+            for noise in self._motion.noises(self._layout, before, frame):
+                state.note(noise)
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         self._add_drift(state, view, slots)
+        if self._scored:
+            self._note_drift(state, view, slots, k=frame.k)
         fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
         new = usable.copy()
         new[rows] = False
@@ -198,6 +221,12 @@ class EkfEstimator:
         """Let the landmarks in view drift by a frame, each track for itself."""
         if self._track_noise.drift > 0.0:
             state.add_drift(slots, view.drift_cov(self._track_noise.drift))
+
+    def _note_drift(self, state: JointState, view: View, slots: IntArray, *, k: int) -> None:
+        """Note the drift of the landmarks in view, which scores are taken of."""
+        by = np.zeros((len(slots), self._layout.landmark, 2))
+        by[:, :COORDINATES] = view.drift_step(self._track_noise.drift)
+        state.note(StateNoise(k, DRIFT, self._layout.size, by, slots))
 
     def _staying(self, state: JointState, rows: IntArray) -> BoolArray:
         """Landmarks that are kept: those in view (``rows`` not -1), and the most recently observed others."""
@@ -252,6 +281,8 @@ class EkfEstimator:
             change = update.correction - correction
             if (change**2 <= _CONVERGED**2 * np.diagonal(state.cov)).all():
                 break
+        if self._scored:
+            state.note(MeasurementNoise(frame.k, WHITE, slice(None), variance.reshape(-1)))
         state.correct(update)
         return good, gated, update
 
@@ -297,6 +328,8 @@ class EkfEstimator:
         projected = jacobian.times(state.cov)
         spread = jacobian.times(projected.T) + np.diag(np.concatenate([one.variance for one in found]))
         update = Update.of(jacobian, projected, spread, innovation)
+        if self._scored:
+            _note_noise(state, found, k=frame.k)
         state.correct(update)
         return _log_density(update, len(innovation))
 
@@ -319,6 +352,10 @@ class EkfEstimator:
             noise=(by_measurement * variance[:, None, :]) @ by_measurement.transpose(0, 2, 1),
             seen_at=frame.k,
         )
+        if self._scored:
+            by = by_measurement[:, :, :3] * np.sqrt(variance[:, None, :3])
+            slots = np.arange(len(state.track) - len(rows), len(state.track))
+            state.note(StateNoise(frame.k, WHITE, self._layout.size, by, slots))
 
     def _variance(self, frame: Frame, rows: IntArray) -> Array:
         """Variances ``(n, 3)`` [px^2] of the white noise of measurements of a frame."""
@@ -332,7 +369,7 @@ class EkfEstimator:
         self._matches.append(
             np.column_stack([state.track[left], state.landmarks[left, 3], state.variances()[left, 3]])
         )
-        if self._recorder is None:
+        if self._filtered_map:
             self._left.append(backward.filtered_landmarks(state, left))
 
 
@@ -389,6 +426,16 @@ def _places(track: IntArray, in_frame: IntArray) -> IntArray:
     order = np.argsort(in_frame)
     place = order[np.minimum(np.searchsorted(in_frame, track, sorter=order), len(order) - 1)]
     return np.where(in_frame[place] == track, place, -1)
+
+
+def _note_noise(state: JointState, found: Sequence[Measurement], *, k: int) -> None:
+    """Note the noise of measurements of the motion, those of a level that scores are taken of."""
+    start = 0
+    for one in found:
+        rows = slice(start, start + len(one.innovation))
+        if one.level is not None:
+            state.note(MeasurementNoise(k, one.level, rows, one.variance))
+        start = rows.stop
 
 
 def _log_density(update: Correction, dof: int) -> float:

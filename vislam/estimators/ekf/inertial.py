@@ -26,6 +26,7 @@ from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
+from vislam.estimators.ekf.scores import StateNoise
 from vislam.geometry import se3, so3
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, IMU_NAV, STATES, VELOCITY
 from vislam.models.preintegration import Preintegrated
@@ -70,6 +71,11 @@ class InertialMotion:
         moved = (pose[:3, 3] - world_T_imu[:3, 3]) @ world_T_imu[:3, :3]
         prev_T_next = se3.from_rotation_translation(step.rotation, moved)
         return Propagation(prev_T_next, change, transition, noise)
+
+    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
+        """No score is taken of the noise of raw inertia."""
+        del layout, nav, frame
+        return ()
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame

@@ -18,6 +18,7 @@ from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf.inertial import InertialMotion
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
 from vislam.estimators.ekf.propagation import Block, Measurement, Motion, Propagation
+from vislam.estimators.ekf.scores import ACCELERATION, HEIGHT, TWIST, StateNoise
 from vislam.geometry import se3, so3
 from vislam.models import odometry, shared_errors
 from vislam.models.imu import STATES
@@ -51,6 +52,13 @@ class Height:
             change[height] = frame.dt * frame.odometry.vertical_velocity if known else 0.0
             walk = frame.dt * self._noise.walk**2
             noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
+
+    def noises(self, layout: NavLayout, frame: Frame) -> list[StateNoise]:
+        """Walk of the integrated vertical velocity, where it is known."""
+        if self._noise is None or not np.isfinite(frame.odometry.vertical_velocity):
+            return []
+        by = np.full((1, 1, 1), np.sqrt(frame.dt) * self._noise.walk)
+        return [StateNoise(frame.k, HEIGHT, layout["height"].start, by)]
 
     def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
         """Measure the height of the pose by the integrated vertical velocity."""
@@ -104,13 +112,8 @@ class OdometryMotion:
         del world_T_imu
         dt, change = frame.dt, np.zeros(layout.size)
         transition, noise = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        late = float(nav[layout[CLOCK]][0]) / dt if CLOCK in layout else 0.0
-        twist = frame.odometry.twist + late * frame.odometry.twist_change
         across = _across(frame)
-        bias = nav[layout["twist_bias"]]
-        if VELOCITY_DIRECTION in layout:
-            bias = bias + across @ nav[layout[VELOCITY_DIRECTION]]
-        step = odometry.integrate(twist, bias=bias, dt=dt, noise=self._problem.noise)
+        step = self._integrated(layout, nav, frame)
         own = slice(0, odometry.NAV)
         transition[own, own], noise[own, own] = odometry.transition(step)
         if CLOCK in layout:
@@ -120,6 +123,13 @@ class OdometryMotion:
         self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
+
+    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
+        """White noise of the twist, and the walk of the height."""
+        if frame.k == 0:
+            return ()
+        by = self._integrated(layout, nav, frame).by_bias * (self._problem.noise.twist / np.sqrt(frame.dt))
+        return [StateNoise(frame.k, TWIST, POSE.start, by[None]), *self._height.noises(layout, frame)]
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
@@ -131,6 +141,15 @@ class OdometryMotion:
     def up(self, layout: NavLayout, nav: Array) -> Array | None:
         """Direction of up by the tilt, where it is estimated."""
         return self._height.up(layout, nav)
+
+    def _integrated(self, layout: NavLayout, nav: Array, frame: Frame) -> odometry.Step:
+        """Step by the twist less its bias, of which the direction of the velocity is a part."""
+        late = float(nav[layout[CLOCK]][0]) / frame.dt if CLOCK in layout else 0.0
+        bias = nav[layout["twist_bias"]]
+        if VELOCITY_DIRECTION in layout:
+            bias = bias + _across(frame) @ nav[layout[VELOCITY_DIRECTION]]
+        twist = frame.odometry.twist + late * frame.odometry.twist_change
+        return odometry.integrate(twist, bias=bias, dt=frame.dt, noise=self._problem.noise)
 
     def _walk(self, layout: NavLayout, dt: float, noise: Array) -> None:
         """Let the shared errors walk, those of the camera, too."""
@@ -185,18 +204,23 @@ class SmoothMotion(OdometryMotion):
         transition[POSE, twist] = dt * right
         transition[step, step] = 0.0
         transition[step, twist] = dt * np.eye(6)
-        # What w_1 and w_2 do to the pose, the step and the twist after it.
-        half = 0.5 * se3.small_adjoint(nav[twist])
-        by_noise = np.zeros((layout.size, 12))
-        by_noise[POSE, :6], by_noise[step, :6] = right, np.eye(6)
-        by_noise[twist, :6], by_noise[twist, 6:] = half, np.eye(6) - dt * half
-        density = np.diag(self._acceleration**2)
-        white = np.kron([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]], density)
+        by_noise = _by_noise(layout, nav, dt, right=right)
+        white = np.kron(_of_acceleration(dt), np.diag(self._acceleration**2))
         noise = by_noise @ white @ by_noise.T
         noise[bias, bias] += dt * np.diag(self._problem.noise.bias_walk**2)
         self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(prev_T_next, change, transition, noise)
+
+    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
+        """White noise of the acceleration, by which the first twist is known, and the walk of the height."""
+        if frame.k == 0:
+            first = np.diag(np.sqrt(FIRST_TWIST_S) * self._acceleration)
+            return [StateNoise(0, ACCELERATION, layout["twist"].start, first[None])]
+        right = se3.right_jacobian(frame.dt * nav[layout["twist"]])
+        factor = np.kron(np.linalg.cholesky(_of_acceleration(frame.dt)), np.diag(self._acceleration))
+        by = _by_noise(layout, nav, frame.dt, right=right) @ factor
+        return [StateNoise(frame.k, ACCELERATION, 0, by[None]), *self._height.noises(layout, frame)]
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
@@ -217,7 +241,24 @@ class SmoothMotion(OdometryMotion):
             by_nav[:, layout[CLOCK]] = -late[:, None]
             predicted = predicted - late * nav[layout[CLOCK]]
         variance = self._problem.noise.twist**2 / frame.dt
-        return [Measurement(frame.odometry.twist - predicted, by_nav, variance), *found]
+        return [Measurement(frame.odometry.twist - predicted, by_nav, variance, TWIST), *found]
+
+
+def _by_noise(layout: NavLayout, nav: Array, dt: float, *, right: Array) -> Array:
+    """What w_1 and w_2 do to the pose, the step and the twist after it, ``(d, 12)``.
+
+    ``right (6, 6)`` is the right Jacobian of ``dt`` times the twist.
+    """
+    half = 0.5 * se3.small_adjoint(nav[layout["twist"]])
+    out = np.zeros((layout.size, 12))
+    out[POSE, :6], out[layout["step"], :6] = right, np.eye(6)
+    out[layout["twist"], :6], out[layout["twist"], 6:] = half, np.eye(6) - dt * half
+    return out
+
+
+def _of_acceleration(dt: float) -> Array:
+    """Covariance ``(2, 2)`` of the integrals over a step of white acceleration of density 1."""
+    return np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
 
 
 def make(problem: Problem) -> Motion:

@@ -14,6 +14,7 @@ from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.step import State
 from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.scores import StateNoise
 from vislam.models import shared_errors
 
 
@@ -54,11 +55,14 @@ class Measurement:
     innovation : (m,)
     by_nav : (m, d)
     variance : (m,)
+    level : str or None
+        Level of the noise (:mod:`vislam.estimators.ekf.scores`) that a score is taken of; None for none.
     """
 
     innovation: Array
     by_nav: Array
     variance: Array
+    level: str | None = None
 
 
 class Motion(Protocol):
@@ -84,6 +88,10 @@ class Motion(Protocol):
 
     def propagate(self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame) -> Propagation:
         """Step to a frame from pose ``(4, 4)`` and navigation state ``nav (d,)`` at the one before."""
+        ...
+
+    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
+        """Noise of the step to a frame whose levels scores are taken of; the state is that before it."""
         ...
 
     def measurements(

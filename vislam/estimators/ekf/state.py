@@ -150,7 +150,7 @@ class JointState:
         self.nav = self.nav + step.change
         move = Move(step.transition)
         move.forward(self.cov, step.noise)
-        self._note(move)
+        self.note(move)
 
     def see(self, slots: IntArray, frame: int) -> None:
         """Note that some landmarks are in view of a frame."""
@@ -175,11 +175,11 @@ class JointState:
         if not np.diagonal(self.cov).min() >= 0.0:
             smallest = float(np.linalg.eigvalsh(self.cov)[0]) if np.isfinite(self.cov).all() else np.nan
             raise DivergedError(f"covariance lost, smallest eigenvalue {smallest:.3g}")
-        self._note(update)
+        self.note(update)
         reset = self._retract(update.correction)
         if reset is not None:
             reset.forward(self.cov)
-            self._note(reset)
+            self.note(reset)
 
     def append(
         self,
@@ -206,7 +206,7 @@ class JointState:
         """
         step = Append(by_nav.reshape(-1, self.layout.size))
         self.cov = step.forward(self.cov, noise)
-        self._note(step)
+        self.note(step)
         self.track = np.concatenate([self.track, track])
         self.anchors = np.concatenate([self.anchors, anchors])
         self.landmarks = np.concatenate([self.landmarks, landmarks])
@@ -218,10 +218,10 @@ class JointState:
         step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)]))
         left = None if self.steps is None else self.marginalised(np.flatnonzero(~mask))
         self.cov = step.forward(self.cov)
-        self._note(step)
+        self.note(step)
         if left is not None:
             # Later data speak of what has stayed alone, so its columns are all that the backward pass needs.
-            self._note(replace(left, rows=left.rows[:, :, step.rows]))
+            self.note(replace(left, rows=left.rows[:, :, step.rows]))
         self.track, self.anchors = self.track[mask], self.anchors[mask]
         self.landmarks, self.first = self.landmarks[mask], self.first[mask]
         self.seen_at = self.seen_at[mask]
@@ -241,7 +241,7 @@ class JointState:
 
     def note_pose(self) -> None:
         """Record the pose, to be smoothed in the backward pass."""
-        self._note(PoseRows(self.world_T_imu, self.cov[POSE].copy()))
+        self.note(PoseRows(self.world_T_imu, self.cov[POSE].copy()))
 
     def _retract(self, error: Array) -> Reset | None:
         """Correct the mean; return what becomes of the coordinates of the error."""
@@ -268,6 +268,7 @@ class JointState:
         change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
         return Reset(kept, np.concatenate([behind, change.reshape(-1, 6)]))
 
-    def _note(self, step: Step) -> None:
+    def note(self, step: Step) -> None:
+        """Note a step for the backward pass, if steps are noted."""
         if self.steps is not None:
             self.steps.append(step)
