@@ -12,8 +12,9 @@ from vislam.comparison.open import Dataset
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.ekf.scores import LEVELS, levels
+from vislam.repair.inertial import Clock
 
-FRAMES = 20
+FRAMES = 12
 SMALL = 1e-3
 """Where all noise is this share of what is usual, a filter's likelihood has no linearisation to speak of."""
 OPTIONS = EkfOptions(
@@ -30,13 +31,13 @@ WRITES = {
         2 + axis: lambda noise, factor, axis=axis: replace(
             noise, twist_density=_times(noise.twist_density, axis, factor)
         )
-        for axis in (0, 2, 3, 5)
+        for axis in (0, 5)
     },
     **{
         8 + axis: lambda noise, factor, axis=axis: replace(
             noise, acceleration_density=_times(noise.acceleration_density, axis, factor)
         )
-        for axis in (1, 2, 3, 4)
+        for axis in (1, 3)
     },
     14: lambda noise, factor: replace(
         noise,
@@ -72,8 +73,9 @@ def drive() -> Dataset:
         density=SMALL * np.array([1e-3, 1e-3, 1e-3, 0.02, 0.03, 0.015]),
     )
     sequence = dataset.sequence
-    climbing = np.where(sequence.inertial_stamp < 1.0, 0.01 * SMALL, np.nan)
-    return replace(dataset, sequence=replace(sequence, vertical_velocity=climbing))
+    climbing = np.full(len(sequence.inertial_stamp), 0.01 * SMALL)
+    sequence = replace(sequence, vertical_velocity=climbing)
+    return replace(dataset, sequence=Clock(offset=CLOCK).apply(sequence))
 
 
 def small(**noise) -> Config:
@@ -89,14 +91,13 @@ def small(**noise) -> Config:
         bias_walk=(1e-4 * SMALL,) * 6,
         camera_rotation_sigma=1e-3 * SMALL,
         velocity_direction_sigma=1e-3 * SMALL,
-        clock_sigma=1e-3 * SMALL,
-        **noise,
+        **{"clock_sigma": 1e-3 * SMALL, **noise},
     )
 
 
 SMOOTH = {
     "acceleration_density": tuple(SMALL * np.array([0.3, 0.2, 0.4, 2.0, 0.5, 0.5])),
-    "vertical_velocity": VerticalVelocityConfig(walk=0.02 * SMALL),
+    "vertical_velocity": VerticalVelocityConfig(walk=5.0 * SMALL, tilt_sigma=0.05 * SMALL),
 }
 
 
@@ -104,7 +105,7 @@ SMOOTH = {
 def test_score_is_the_derivative_of_the_likelihood(drive, noise):
     config = small(**noise)
     solver, found = run(config, drive, scored=True)
-    score = solver.scores(FRAMES)
+    score = solver.scores(FRAMES).levels
     assert score.shape == (FRAMES, LEVELS)
     used = levels(make_problem(config, drive)) > 0.0
     checked = 0
@@ -119,7 +120,23 @@ def test_score_is_the_derivative_of_the_likelihood(drive, noise):
         ]
         slope = (values[0].log_likelihood.sum() - values[1].log_likelihood.sum()) / (2.0 * h)
         scale = np.abs(score[:, place]).sum()
-        assert abs(score[:, place].sum() - slope) < 1e-3 * scale + 1e-6, place
+        assert abs(score[:, place].sum() - slope) < 1e-3 * scale, place
         checked += 1
-    assert checked == (len(WRITES) if noise else 6)
+    assert checked == (len(WRITES) if noise else 4)
     assert np.isfinite(found.innovations.log_likelihood).all()
+
+
+@pytest.mark.parametrize("noise", [{}, SMOOTH])
+def test_score_of_the_recorded_motion_is_the_derivative_by_it(drive, noise):
+    """By a clock, which moves all samples; what it changes the noise of a step by is no part of it."""
+    config = small(**{**noise, "clock_sigma": 0.0})
+    solver, _ = run(config, drive, scored=True)
+    by_input = solver.scores(FRAMES).inputs
+    h, values, means = 1e-6, [], []
+    for sign in (1.0, -1.0):
+        moved = replace(drive, sequence=Clock(offset=CLOCK + sign * h).apply(drive.sequence))
+        values.append(run(config, moved)[1].innovations.log_likelihood.sum())
+        means.append(np.nan_to_num(np.column_stack(moved.sequence.step_means())))
+    slope = (values[0] - values[1]) / (2.0 * h)
+    found = by_input * (means[0] - means[1]) / (2.0 * h)
+    assert found.sum() == pytest.approx(slope, abs=2e-2 * np.abs(found).sum())

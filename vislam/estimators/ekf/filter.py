@@ -23,7 +23,7 @@ from vislam.estimators.ekf.observed import ObservedUpdate
 from vislam.estimators.ekf.options import EkfOptions
 from vislam.estimators.ekf.propagation import Measurement, reported
 from vislam.estimators.ekf.reweighting import student_weights
-from vislam.estimators.ekf.scores import DRIFT, WHITE, MeasurementNoise, StateNoise, score
+from vislam.estimators.ekf.scores import DRIFT, WHITE, MeasurementNoise, Scores, StateNoise, score
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
@@ -145,8 +145,8 @@ class EkfEstimator:
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
-    def scores(self, frames: int) -> Array:
-        """Score ``(T, LEVELS)`` of the noise levels over the frames; for an estimator that is ``scored``."""
+    def scores(self, frames: int) -> Scores:
+        """Derivatives of the log likelihood over the frames; for an estimator that is ``scored``."""
         assert self._recorder is not None
         return score(self._recorder.backwards(), size=len(self.state.cov), frames=frames)
 
@@ -174,8 +174,8 @@ class EkfEstimator:
         else:
             state.predict(self._motion.propagate(self._layout, state.world_T_imu, before, frame))
         if self._scored:
-            for noise in self._motion.noises(self._layout, before, frame):
-                state.note(noise)
+            for entering in self._motion.entering(self._layout, before, frame):
+                state.note(entering)
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         self._add_drift(state, view, slots)

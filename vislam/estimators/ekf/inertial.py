@@ -25,8 +25,8 @@ from vislam.core.estimator import Inertia, Problem
 from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
 from vislam.estimators.ekf.layout import NavLayout
+from vislam.estimators.ekf.linear import Step
 from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
-from vislam.estimators.ekf.scores import StateNoise
 from vislam.geometry import se3, so3
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, IMU_NAV, STATES, VELOCITY
 from vislam.models.preintegration import Preintegrated
@@ -72,8 +72,8 @@ class InertialMotion:
         prev_T_next = se3.from_rotation_translation(step.rotation, moved)
         return Propagation(prev_T_next, change, transition, noise)
 
-    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
-        """No score is taken of the noise of raw inertia."""
+    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
+        """No score is taken of raw inertia."""
         del layout, nav, frame
         return ()
 

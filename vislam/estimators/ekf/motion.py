@@ -17,8 +17,17 @@ from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf.inertial import InertialMotion
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
+from vislam.estimators.ekf.linear import Step
 from vislam.estimators.ekf.propagation import Block, Measurement, Motion, Propagation
-from vislam.estimators.ekf.scores import ACCELERATION, HEIGHT, TWIST, StateNoise
+from vislam.estimators.ekf.scores import (
+    ACCELERATION,
+    HEIGHT,
+    OF_TWIST,
+    OF_VERTICAL_VELOCITY,
+    TWIST,
+    Input,
+    StateNoise,
+)
 from vislam.geometry import se3, so3
 from vislam.models import odometry, shared_errors
 from vislam.models.imu import STATES
@@ -53,12 +62,14 @@ class Height:
             walk = frame.dt * self._noise.walk**2
             noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
 
-    def noises(self, layout: NavLayout, frame: Frame) -> list[StateNoise]:
-        """Walk of the integrated vertical velocity, where it is known."""
+    def entering(self, layout: NavLayout, frame: Frame) -> list[Step]:
+        """The vertical velocity, where it is known, and the walk of its integral."""
         if self._noise is None or not np.isfinite(frame.odometry.vertical_velocity):
             return []
         by = np.full((1, 1, 1), np.sqrt(frame.dt) * self._noise.walk)
-        return [StateNoise(frame.k, HEIGHT, layout["height"].start, by)]
+        height = layout["height"].start
+        velocity = Input(frame.k, OF_VERTICAL_VELOCITY, height, np.array([[frame.dt]]))
+        return [StateNoise(frame.k, HEIGHT, height, by), velocity]
 
     def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
         """Measure the height of the pose by the integrated vertical velocity."""
@@ -124,12 +135,17 @@ class OdometryMotion:
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
 
-    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
-        """White noise of the twist, and the walk of the height."""
+    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
+        """The twist and its white noise, and the height."""
         if frame.k == 0:
             return ()
-        by = self._integrated(layout, nav, frame).by_bias * (self._problem.noise.twist / np.sqrt(frame.dt))
-        return [StateNoise(frame.k, TWIST, POSE.start, by[None]), *self._height.noises(layout, frame)]
+        by_bias = self._integrated(layout, nav, frame).by_bias
+        by_noise = by_bias * (self._problem.noise.twist / np.sqrt(frame.dt))
+        return [
+            StateNoise(frame.k, TWIST, POSE.start, by_noise[None]),
+            Input(frame.k, OF_TWIST, POSE.start, -by_bias),
+            *self._height.entering(layout, frame),
+        ]
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
@@ -212,15 +228,18 @@ class SmoothMotion(OdometryMotion):
         self._height.propagate(layout, frame, change, noise)
         return Propagation(prev_T_next, change, transition, noise)
 
-    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
-        """White noise of the acceleration, by which the first twist is known, and the walk of the height."""
+    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
+        """White noise of the acceleration, the first twist, which is known by as much, and the height."""
         if frame.k == 0:
-            first = np.diag(np.sqrt(FIRST_TWIST_S) * self._acceleration)
-            return [StateNoise(0, ACCELERATION, layout["twist"].start, first[None])]
+            first, sigma = layout["twist"].start, np.sqrt(FIRST_TWIST_S) * self._acceleration
+            return [
+                StateNoise(0, ACCELERATION, first, np.diag(sigma)[None]),
+                Input(0, OF_TWIST, first, np.eye(6)),
+            ]
         right = se3.right_jacobian(frame.dt * nav[layout["twist"]])
         factor = np.kron(np.linalg.cholesky(_of_acceleration(frame.dt)), np.diag(self._acceleration))
         by = _by_noise(layout, nav, frame.dt, right=right) @ factor
-        return [StateNoise(frame.k, ACCELERATION, 0, by[None]), *self._height.noises(layout, frame)]
+        return [StateNoise(frame.k, ACCELERATION, 0, by[None]), *self._height.entering(layout, frame)]
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame

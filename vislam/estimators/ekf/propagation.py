@@ -14,7 +14,7 @@ from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.step import State
 from vislam.estimators.ekf.layout import NavLayout
-from vislam.estimators.ekf.scores import StateNoise
+from vislam.estimators.ekf.linear import Step
 from vislam.models import shared_errors
 
 
@@ -90,8 +90,8 @@ class Motion(Protocol):
         """Step to a frame from pose ``(4, 4)`` and navigation state ``nav (d,)`` at the one before."""
         ...
 
-    def noises(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[StateNoise]:
-        """Noise of the step to a frame whose levels scores are taken of; the state is that before it."""
+    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
+        """Noise and inputs of the step to a frame that scores are taken of; the state is that before it."""
         ...
 
     def measurements(

@@ -11,8 +11,9 @@ the score of noise that were seen, given all data (Segal and Weinstein, *A new m
 log-likelihood gradient, the Hessian, and the Fisher information matrix for linear dynamic systems*, IEEE
 Trans. Inf. Theory 35 (1989) 682-687; Koopman and Shephard, *Exact score for time series models in state
 space form*, Biometrika 79 (1992) 823-826). So all levels cost one run of the filter and its backward pass,
-however many they are. It is exact for the linear steps that the filter has taken: where these were linearised
-is held.
+however many they are. A number that was recorded of the motion enters by the mean: by what it changes the
+state, ``dL = r . dx``, or an innovation, ``dL = -u . d(innovation)``; a clock follows by the chain rule. All
+is exact for the linear steps that the filter has taken: where these were linearised is held.
 """
 
 from collections.abc import Iterable
@@ -34,6 +35,30 @@ _PLACES = {
 }
 LEVELS = 15
 """How many levels there are."""
+INPUTS = 7
+"""Numbers recorded of the motion over a step: the mean twist (6), and the vertical velocity."""
+OF_TWIST, OF_VERTICAL_VELOCITY = slice(0, 6), slice(6, 7)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Derivatives of the log likelihood, by the frame at which noise or a recorded number enters.
+
+    Attributes
+    ----------
+    levels : (T, LEVELS)
+        By the logarithm of each level.
+    inputs : (T, INPUTS)
+        By the mean twist and the vertical velocity of the step to a frame [s/rad, s/m].
+    """
+
+    levels: Array
+    inputs: Array
+
+    @classmethod
+    def none(cls, frames: int) -> "Scores":
+        """Zeros."""
+        return cls(np.zeros((frames, LEVELS)), np.zeros((frames, INPUTS)))
 
 
 def levels(problem: Problem) -> Array:
@@ -77,8 +102,8 @@ class StateNoise(Step):
     by: Array
     slots: IntArray | None = None
 
-    def add_to(self, scores: Array, after: Adjoint) -> None:
-        """Add the score of the logarithm of its levels to ``(T, LEVELS)``."""
+    def add_to(self, scores: Scores, after: Adjoint) -> None:
+        """Add the score of the logarithm of its levels."""
         n, size, _ = self.by.shape
         slots = np.arange(n) if self.slots is None else self.slots
         rows = self.first + size * slots[:, None] + np.arange(size)
@@ -87,7 +112,7 @@ class StateNoise(Step):
         told = np.einsum("nsm,ns->nm", self.by, vector) ** 2
         lost = np.sum(self.by * (information @ self.by), axis=1)
         place = _PLACES[self.level]
-        scores[self.k, place] += (told - lost).reshape(-1, place.stop - place.start).sum(axis=0)
+        scores.levels[self.k, place] += (told - lost).reshape(-1, place.stop - place.start).sum(axis=0)
 
 
 @dataclass(frozen=True)
@@ -108,15 +133,44 @@ class MeasurementNoise(Step):
     rows: slice
     variance: Array
 
-    def add_to(self, scores: Array, error: Array, spread: Array) -> None:
-        """Add the score to ``(T, LEVELS)`` from smoothing error and variance, ``(m,)`` each."""
+    def add_to(self, scores: Scores, error: Array, spread: Array) -> None:
+        """Add the score from smoothing error and variance, ``(m,)`` each; of a twist, that by it as well."""
         found = self.variance * (error[self.rows] ** 2 - spread[self.rows])
         place = _PLACES[self.level]
-        scores[self.k, place] += found.reshape(-1, place.stop - place.start).sum(axis=0)
+        scores.levels[self.k, place] += found.reshape(-1, place.stop - place.start).sum(axis=0)
+        if self.level == TWIST:
+            scores.inputs[self.k, OF_TWIST] -= error[self.rows]
 
 
-def score(steps: Iterable[Step], *, size: int, frames: int) -> Array:
-    """Score ``(T, LEVELS)`` of the logarithm of each level, by the frame at which its noise enters.
+@dataclass(frozen=True)
+class Input(Step):
+    """Recorded numbers that change the state at a frame.
+
+    Attributes
+    ----------
+    k : int
+    place : slice
+        Which of the inputs these m are.
+    first : int
+        Row of the error at which what they change begins.
+    by : (s, m)
+        By what s rows change with them.
+    """
+
+    k: int
+    place: slice
+    first: int
+    by: Array
+
+    def add_to(self, scores: Scores, after: Adjoint) -> None:
+        """Add the derivative."""
+        scores.inputs[self.k, self.place] += (
+            after.vectors[self.first : self.first + len(self.by), 0] @ self.by
+        )
+
+
+def score(steps: Iterable[Step], *, size: int, frames: int) -> Scores:
+    """Derivatives of the log likelihood.
 
     Parameters
     ----------
@@ -126,10 +180,10 @@ def score(steps: Iterable[Step], *, size: int, frames: int) -> Array:
         Of the error in the end.
     frames : int
     """
-    scores, adjoint = np.zeros((frames, LEVELS)), Adjoint.of_the_last(size)
+    scores, adjoint = Scores.none(frames), Adjoint.of_the_last(size)
     error, spread = np.empty(0), np.empty(0)
     for step in steps:
-        if isinstance(step, StateNoise):
+        if isinstance(step, StateNoise | Input):
             step.add_to(scores, adjoint)
         elif isinstance(step, MeasurementNoise):
             step.add_to(scores, error, spread)
