@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from itertools import repeat
+from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
@@ -233,7 +233,9 @@ class Sequence:
         _, first, track = np.unique(self.track, return_index=True, return_inverse=True)
         return np.asarray(first[track])
 
-    def frames(self, sigma: Array, usable: BoolArray | None = None) -> Iterator[Frame]:
+    def frames(
+        self, sigma: Array, usable: BoolArray | None = None, *, begin: int = 0, end: int | None = None
+    ) -> Iterator[Frame]:
         """Frames in order; their arrays cannot be made writable, as the next estimator is given them too.
 
         Parameters
@@ -242,6 +244,8 @@ class Sequence:
             Standard deviations of the observations [px].
         usable : (n,), optional
             Which of the observations may be fused; all if left out.
+        begin, end : int
+            Frames from ``begin`` to before ``end`` only; to the last for None.
         """
         z, sigma, track = immutable(self.z), immutable(sigma), immutable(self.track)
         usable = immutable(np.ones(self.observations, bool) if usable is None else usable)
@@ -252,7 +256,8 @@ class Sequence:
         change = immutable(np.diff(at_frame, axis=0, prepend=at_frame[:1]))
         dt = np.diff(self.stamp, prepend=self.stamp[0])
         imu = repeat(None) if self.imu is None else self.imu.steps(self.stamp, clock_offset=self.clock_offset)
-        for k, inertia in zip(range(len(self)), imu, strict=False):
+        every = range(len(self) if end is None else min(end, len(self)))
+        for k, inertia in islice(zip(every, imu, strict=False), begin, None):
             rows = slice(self.offset[k], self.offset[k + 1])
             yield Frame(
                 k=k,
