@@ -1,6 +1,5 @@
 """The page as text: whole, of its own, the same twice, and safe against what names and notes may hold."""
 
-import base64
 import re
 from collections import Counter
 from dataclasses import replace
@@ -14,7 +13,7 @@ from vislam.evaluation import evaluate
 from vislam.report import time_figures
 from vislam.report.colours import COLOURS, colours
 from vislam.report.figures import all_figures, figure_names
-from vislam.report.scene import scene_data, three_sigma_axes
+from vislam.report.scene import scene_data, three_sigma_axes, unpacked
 from vislam.report.shown import Shown
 from vislam.report.svg import themed_svg
 
@@ -232,10 +231,6 @@ def test_what_sees_nothing_sets_no_scale_and_says_how_far_it_goes(tiny):
     assert any("dead_reckoning: to" in told.get_text() for told in height.texts)
     scene = scene_data(shown)
     assert np.subtract(scene["high"], scene["low"]).max() < 300.0
-
-
-def unpacked(values):
-    return np.frombuffer(base64.b64decode(values), "<f4")
 
 
 def test_the_ellipsoid_is_three_sigma_in_every_direction(rng):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vislam.geometry import se3
-from vislam.simulation import SimulationConfig, simulate
+from vislam.simulation import SimulationConfig, shapes, simulate
 from vislam.simulation.path import DrivePath
 
 DRIVE = SimulationConfig(frames=1010, speed=9.0)
@@ -193,3 +193,14 @@ def test_a_circuit_comes_back_to_where_it_was(laps):
     apart = path.pose(time)[:, :3, 3] - path.pose(time + lap)[:, :3, 3]
     assert np.abs(apart).max() < 1e-6
     assert np.abs(path.pose(np.array([0.5 * lap]))[0, :2, 3] - path.pose(np.zeros(1))[0, :2, 3]).max() > 10.0
+
+
+def test_a_path_through_a_town_is_the_same_in_blocks_of_any_size(monkeypatch):
+    config, phases = SimulationConfig(path="town", frames=2000), np.linspace(0.0, 5.0, 8)
+    time = np.linspace(0.0, 200.0, 1001)
+    found = []
+    for size in (1_000_000, 50):
+        monkeypatch.setattr(shapes, "_AT_ONCE", size)
+        one = shapes.shape(config, phases, np.random.default_rng(1))
+        found.append((one.heading(time), one.pace(time)))
+    np.testing.assert_array_equal(*found)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogLocator
 
 from vislam.base.types import Array
+from vislam.report.decimation import at_most, evenly, extremes
 from vislam.report.margins import Margins
 
 WIDTH = 6.4
@@ -21,6 +22,10 @@ _GAP = 5.0
 """Times the median distance of samples from which on a line is broken."""
 _BAND = 400
 """Points of a band at most: one a point of the figure's width."""
+_COLUMNS = 800
+"""Places that are told apart along the width of a figure: two a point."""
+_MARKS = 2500
+"""Marks of a panel at most, which are elements of a page each."""
 _MARGIN = 0.06
 """Room above and below the lines, as a share of what they span."""
 
@@ -80,9 +85,24 @@ def line(axes: Axes, x: Array, y: Array, **how: Any) -> None:
 
 
 def band(axes: Axes, x: Array, low: Array, high: Array, **how: Any) -> None:
-    """Fill what lies between two lines, ``(n,)`` each, through as many points as are seen."""
-    rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), _BAND)).astype(int))
-    axes.fill_between(x[rows], low[rows], high[rows], lw=0, **how)
+    """Fill what lies between two lines, ``(n,)`` each; of many points, between the extremes of some at a time."""
+    first = evenly(len(x), _BAND)
+    if len(first):
+        low, high = np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
+    axes.fill_between(x[first], low, high, lw=0, **how)
+
+
+def area(axes: Axes, x: Array, y: Array, **how: Any) -> None:
+    """Fill what lies below a line, ``(n,)`` each, through its extremes where there are many points."""
+    rows = extremes(x, y, _COLUMNS)
+    axes.fill_between(x[rows], y[rows], lw=0, **how)
+
+
+def marks(axes: Axes, points: Array, **how: Any) -> None:
+    """Mark points ``(n, 2)`` in a panel whose limits are set; of many, those that can be told apart."""
+    ends = np.array([axes.get_xlim(), axes.get_ylim()])
+    rows = at_most(points, _MARKS, float(np.ptp(ends, axis=1).max()) / _COLUMNS)
+    axes.plot(*points[rows].T, ".", **how)
 
 
 def legend(figure: Figure, *axes: Axes, columns: int = 3) -> None:

@@ -39,6 +39,8 @@ from vislam.report.page_tables import (
     smoothing_table,
     worst_table,
 )
+from vislam.report.scene import scene_note
+from vislam.report.svg import SIMPLIFIED
 from vislam.report.table import comparison_tables
 from vislam.report.verdict import verdict
 
@@ -46,6 +48,10 @@ WIDE = ("top_view", "ablation_chain")
 """Figures that take the whole width of a page."""
 MOST_CHECKS = 10
 """Checks up to which those that hold are shown one by one."""
+_DRAWN_WHOLE = 2000
+"""Frames of which nothing is left out that anybody would look for."""
+MOST_EVENTS = 200
+"""Events of a run that a page lists; ``metrics.json`` has all."""
 _ABSCISSA = 1000
 """Points of the distance over time that a page has at most."""
 
@@ -129,17 +135,22 @@ def write_page(path: Path, content: Content) -> None:
         worst=worst_table(evaluation),
         lags=lags_table(evaluation),
         shared=shared_errors_table(runs),
+        figures_note=_figures_note(len(record.stamp)),
         figures=[(name, drawing, inline_svg(name, drawing)) for name, drawing in content.figures.items()],
         wide=WIDE,
         travelled=htmlsafe_json_dumps(_abscissa(*content.travelled)),
         scene=htmlsafe_json_dumps(scene) if scene else "",
         pictures=htmlsafe_json_dumps(pictures) if pictures else "",
         images_js=part("images.js"),
-        scene_note=_scene_note(scene) if scene else "",
+        scene_note=scene_note(scene) if scene else "",
         counts=counts_table(record.counts, record.repairs, runs),
         repairs=repairs_table(record.repairs),
         common_set=content.common_set,
-        events={name: run.log.events for name, run in runs.items() if run.log.events},
+        events={
+            name: (len(run.log.events), run.log.events[:MOST_EVENTS])
+            for name, run in runs.items()
+            if run.log.events
+        },
         provenance="\n".join(f"{key}: {value}" for key, value in record.provenance.items()),
         config=content.config,
         draw=draw_table,
@@ -164,6 +175,17 @@ def _abscissa(time: Array, distance: Array) -> list[list[float]]:
     return [[round(float(value), 3) for value in values[rows]] for values in (time, distance)]
 
 
+def _figures_note(frames: int) -> str:
+    """What of long sequences is drawn; empty where that is all."""
+    if frames <= _DRAWN_WHOLE:
+        return ""
+    return (
+        f"Of {frames:,} frames what can be told apart is drawn: lines to within {SIMPLIFIED:g} points of the "
+        "figure, areas and bands by their extremes, so that no peak is lost, of marks on each other one, and "
+        "of errors on each other the largest. All numbers are of all frames."
+    )
+
+
 def clear_report(folder: Path) -> None:
     """Remove the page and the figures of earlier results, which would stand beside newer metrics."""
     remove(folder / "report.html")
@@ -172,15 +194,3 @@ def clear_report(folder: Path) -> None:
             remove(folder / "figures" / f"{name}.{suffix}")
     with suppress(OSError):
         (folder / "figures").rmdir()
-
-
-def _scene_note(scene: Mapping[str, Any]) -> str:
-    """What the scene leaves out or makes up."""
-    drawn = ", ".join(
-        f"{run['landmarks_drawn']} of {run['landmarks_all']} of {run['name']}"
-        for run in scene["runs"]
-        if run["landmarks_all"]
-    )
-    said = f"Landmarks drawn: {drawn}; those far from all the paths are left out. " if drawn else ""
-    flat = scene["reference"] is not None and scene["reference"]["flat"]
-    return said + ("The reference has no height and lies at that of the start." if flat else "")

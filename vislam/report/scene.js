@@ -27,7 +27,8 @@
   };
   const runColour = (index) => colour(`--c${runs[index].colour}`);
 
-  const stamp = decode(data.stamp);
+  // Where the slider stops: these frames, at these times.
+  const [stops, stamp] = [decode(data.stop), decode(data.stamp)];
   const runs = data.runs.map((run) => ({
     name: run.name,
     colour: run.colour,
@@ -82,13 +83,13 @@
   const slider = element("scene-slider");
   const play = element("scene-play");
   const magnify = element("scene-magnify");
-  const frameCount = stamp.length;
-  slider.max = String(frameCount - 1);
+  const last = stops.length - 1;
+  slider.max = String(last);
   slider.value = slider.max;
 
   // What moves, one entry a trace: landmarks of every run, then poses of every run.
   const moving = () => {
-    const frame = Number(slider.value);
+    const frame = stops[Number(slider.value)];
     const drawn = [];
     for (const run of runs) {
       const count = upTo(run.firstSeen, frame);
@@ -101,8 +102,8 @@
     return drawn;
   };
   const tell = () => {
-    const frame = Number(slider.value);
-    const text = `${stamp[frame].toFixed(1)} s, frame ${frame} of ${frameCount - 1}`;
+    const stop = Number(slider.value);
+    const text = `${stamp[stop].toFixed(1)} s, frame ${stops[stop]} of ${data.frames - 1}`;
     element("scene-time").textContent = text;
     slider.setAttribute("aria-valuetext", text);
   };
@@ -178,14 +179,14 @@
   };
   const step = () => {
     if (busy) return;
-    const next = Number(slider.value) + Math.max(1, Math.round(frameCount / 300));
+    const next = Number(slider.value) + Math.max(1, Math.round(stops.length / 300));
     slider.value = String(next);
-    if (next >= frameCount - 1) stop();
+    if (next >= last) stop();
     update();
   };
   play.addEventListener("click", () => {
     if (timer) return stop();
-    if (Number(slider.value) === frameCount - 1) slider.value = "0";
+    if (Number(slider.value) === last) slider.value = "0";
     play.textContent = "Pause";
     timer = setInterval(step, 60);
     return undefined;

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from vislam.base.files import replace_whole, write_text
 from vislam.report.canvas import TIME
 
-_SIMPLIFIED = 0.3
-"""How far a simplified path may be from the true one [px]."""
+SIMPLIFIED = 0.3
+"""How far a simplified path may be from the true one [pt]."""
 _IMAGE_DPI = 150
 """Resolution of what is rasterised inside [px/inch]."""
 _SERIES = 2000
@@ -32,7 +32,7 @@ def plain_svg(figure: Figure) -> str:
     settle(figure)
     buffer = io.StringIO()
     with mpl.rc_context(
-        {"svg.fonttype": "none", "svg.hashsalt": "vislam", "path.simplify_threshold": _SIMPLIFIED}
+        {"svg.fonttype": "none", "svg.hashsalt": "vislam", "path.simplify_threshold": SIMPLIFIED}
     ):
         figure.savefig(buffer, format="svg", dpi=_IMAGE_DPI, transparent=True, metadata=_METADATA)
     text = buffer.getvalue()

@@ -15,7 +15,7 @@ from vislam.base.types import Array
 from vislam.core.run import Run
 from vislam.evaluation.rpe import RelativeErrors
 from vislam.evaluation.trajectory_scores import WORST_LENGTH, TrajectoryScores
-from vislam.report.canvas import TIME, band, legend, limit, line, logarithmic, panels
+from vislam.report.canvas import TIME, area, band, legend, limit, line, logarithmic, panels
 from vislam.report.shown import Shown
 
 _SMALLEST_ERROR = 1e-2
@@ -162,7 +162,7 @@ def observations(shown: Shown) -> Figure | None:
     figure, (above, below) = panels(2, 4.6)
     time = shown.time_at(np.arange(frames))
     read = np.bincount(given, minlength=frames)
-    above.fill_between(time, read, color="0.8", lw=0, label="given, repaired", step="mid")
+    area(above, time, read, color="0.8", label="given, repaired", step="mid")
     for name in shown.seeing():
         run = shown.runs[name]
         used, own = np.bincount(given[run.used], minlength=frames), run.frame

@@ -12,7 +12,8 @@ from vislam.base.legible import literal
 from vislam.base.types import Array
 from vislam.core.run import Run
 from vislam.geometry import se3
-from vislam.report.canvas import SMALL, WIDTH, PlainLog, legend, new_figure
+from vislam.report.canvas import SMALL, WIDTH, PlainLog, legend, marks, new_figure
+from vislam.report.decimation import evenly, one_a_cell
 from vislam.report.shown import Shown
 
 _COLOUR_MAP = ListedColormap(colormaps["cividis"](np.linspace(0.0, 0.85, 256)), name="cividis_on_paper")
@@ -20,6 +21,12 @@ _COLOUR_MAP = ListedColormap(colormaps["cividis"](np.linspace(0.0, 0.85, 256)), 
 _ERROR_MAP = ListedColormap(colormaps["plasma"](np.linspace(0.0, 0.85, 256)), name="plasma_on_paper")
 _SIGMA_SHARES = (0.02, 0.98)
 """Quantiles of the landmarks' uncertainty at which the colours end."""
+_MOST_LANDMARKS = 20_000
+"""Landmarks of a map that are drawn at most."""
+_MOST_ERRORS = 4000
+"""Errors of a path that are all drawn; of more, the largest at each place."""
+_PLACES = 1000
+"""Places that are told apart along a panel."""
 
 
 def top_view(shown: Shown) -> Figure:
@@ -58,9 +65,11 @@ def error_paths(shown: Shown) -> Figure | None:
     for axes, (name, one) in zip(grid.cells, found.items(), strict=False):
         run = shown.runs[name]
         row = np.searchsorted(run.stamp, one.matched.stamp).clip(max=len(run.stamp) - 1)
-        x, y = _path(shown, name)[row].T
-        size = np.linalg.norm(one.headline.position_error, axis=1)
-        drawn = axes.scatter(x, y, s=10, lw=0, c=size, cmap=_ERROR_MAP, norm=norm)
+        path, size = _path(shown, name)[row], np.linalg.norm(one.headline.position_error, axis=1)
+        if len(path) > _MOST_ERRORS:
+            row = one_a_cell(path, float((high - low).max()) / _PLACES, rank=size)
+            path, size = path[row], size[row]
+        drawn = axes.scatter(*path.T, s=10, lw=0, c=size, cmap=_ERROR_MAP, norm=norm)
         drawn.set_rasterized(True)
         axes.set_title(literal(f"{name}\nto {size.max():.3g} m"), fontsize=SMALL)
     grid.finish()
@@ -154,7 +163,7 @@ def _paths(axes: Axes, shown: Shown) -> None:
     for name in shown.runs:
         axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.2, label=literal(shown.label(name)))
     if shown.reference is not None:
-        axes.plot(*shown.reference.position[:, :2].T, "k.", ms=2, label=literal(shown.reference.name))
+        marks(axes, shown.reference.position[:, :2], color="k", ms=2, label=literal(shown.reference.name))
 
 
 def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathCollection | None:
@@ -169,15 +178,17 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
         norm = LogNorm(*np.maximum(ends, 1e-6))
     for axes, (name, run) in zip(panels, mapped.items(), strict=False):
         points = se3.transform(shown.drawn_T_world(name, planar=True), run.landmarks.points_world)[:, :2]
+        rows = evenly(len(points), _MOST_LANDMARKS)
         if name in sigma:
             # The least certain first, so that they do not hide the others.
-            order = np.argsort(-sigma[name])
+            order = rows[np.argsort(-sigma[name][rows])]
             x, y = points[order].T
             coloured = axes.scatter(x, y, s=1.5, lw=0, c=sigma[name][order], cmap=_COLOUR_MAP, norm=norm)
             coloured.set_rasterized(True)
         else:
-            axes.plot(*points.T, ".", ms=1.2, color="0.5", rasterized=True)
+            axes.plot(*points[rows].T, ".", ms=1.2, color="0.5", rasterized=True)
         axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.0)
         covariances = "" if name in sigma else " (no covariances)"
-        axes.set_title(literal(f"map of {name}{covariances}"), fontsize=SMALL)
+        part = f"\n{len(rows):,} of {len(points):,} landmarks" if len(rows) < len(points) else ""
+        axes.set_title(literal(f"map of {name}{covariances}{part}"), fontsize=SMALL)
     return coloured

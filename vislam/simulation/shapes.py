@@ -16,6 +16,8 @@ _HALF_TURN_TIME = 2.0
 """Half the time that a right-angle turn takes [s]."""
 _CORNER_PACE = 0.4
 """Pace in a right-angle turn, as a share of that between corners."""
+_AT_ONCE = 1_000_000
+"""Times by corners that are computed at once."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,37 @@ def _town(turning: bool, duration: float, phases: Array, generator: np.random.Ge
 
     def heading(time: Array) -> Array:
         wave = 0.04 * np.sin(0.23 * time + phases[0]) + 0.02 * np.sin(0.71 * time + phases[1])
-        corners = 0.5 * angle * (1.0 + np.tanh((time[:, None] - when) / width))
-        return np.asarray(wave + corners.sum(axis=1))
+        turned = _summed(lambda at: 0.5 * angle * (1.0 + np.tanh((at - when) / width)), time, len(when))
+        return np.asarray(wave + turned)
 
     def pace(time: Array) -> Array:
-        slow = 0.35 * np.abs(angle) / 1.5 * np.exp(-(((time[:, None] - when) / (1.5 * width)) ** 2))
-        return np.asarray(_uneven(time, phases) - np.minimum(slow.sum(axis=1), 0.6))
+        loss = 0.35 * np.abs(angle) / 1.5
+        slow = _summed(lambda at: loss * np.exp(-(((at - when) / (1.5 * width)) ** 2)), time, len(when))
+        return np.asarray(_uneven(time, phases) - np.minimum(slow, 0.6))
 
     return Shape(heading, pace, by_way=False)
+
+
+def _summed(corners: Callable[[Array], Array], time: Array, count: int) -> Array:
+    """Sum ``(n,)`` of what all corners do at times ``(n,)``.
+
+    Some times after the other: a path through a town has a corner every 13 s, so that all at once take
+    memory with the square of its duration.
+
+    Parameters
+    ----------
+    corners : callable
+        What each does at times ``(k, 1)``, ``(k, count)``.
+    time : (n,)
+        [s].
+    count : int
+        Number of the corners.
+    """
+    size = _AT_ONCE // max(count, 1) + 1
+    found = np.empty(len(time))
+    for first in range(0, len(time), size):
+        found[first : first + size] = corners(time[first : first + size, None]).sum(axis=1)
+    return found
 
 
 def _town_turns(duration: float, generator: np.random.Generator) -> tuple[Array, Array, Array]:
