@@ -85,7 +85,7 @@ def line(axes: Axes, x: Array, y: Array, **how: Any) -> None:
 
 
 def band(axes: Axes, x: Array, low: Array, high: Array, **how: Any) -> None:
-    """Fill what lies between two lines, ``(n,)`` each; of many points, between the extremes of some at a time."""
+    """Fill what lies between two lines, ``(n,)`` each; of many points, between extremes of some at a time."""
     first = evenly(len(x), _BAND)
     if len(first):
         low, high = np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
