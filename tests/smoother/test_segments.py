@@ -179,3 +179,22 @@ def test_a_factor_of_what_has_left_brings_it_back(monkeypatch):
     parted.update(loop, gtsam.Values(), gtsam.ISAM2UpdateParams())
     assert parted.whole
     assert parted.tree([X(0)]).calculateBestEstimate().size() == 25
+
+
+def test_what_is_tied_to_poses_of_all_times_stays():
+    parted, noise = Segments(parameters()), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    places, in_view, frames = 12, 5, 201
+    place = [X(1000 + j) for j in range(places)]
+    for k, graph, values in chain(frames):
+        if k < places:
+            values.insert(place[k], gtsam.Pose3())
+        graph.add(gtsam.BetweenFactorPose3(X(k), place[k % places], gtsam.Pose3(), noise))
+        parted.update(graph, values, gtsam.ISAM2UpdateParams())
+    recent = {place[j % places] for j in range(frames - in_view, frames)}
+    resting = {X(k) for k in range(frames - in_view)} | set(place) - recent
+    last = gtsam.KeyGroupMap()
+    for key in [*recent, X(frames - 1)]:
+        last.insert2(key, 1)
+    # More than half of the poses rest, but in pieces between those that have seen what is in view.
+    assert not parted.cut(resting, last)
+    assert parted.whole

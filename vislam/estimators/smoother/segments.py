@@ -19,6 +19,8 @@ from vislam.estimators.smoother.values import only, without
 
 _EVERY = 200
 """Updates between two cuts."""
+_TIED = 2
+"""Variables that what leaves may be tied to, as a multiple of those that a frame is tied to."""
 
 
 @dataclass
@@ -140,6 +142,12 @@ class Segments:
             self._wait = 2 * self._updates
             return False
         inside = {slot for slot, own in keys.items() if not leaving.isdisjoint(own)}
+        tied = set().union(*(keys[slot] for slot in inside)) - leaving
+        if len(tied) > _TIED * (last.size() + 1):
+            # Their marginal would be one dense factor of all these: landmarks that come back are tied to
+            # poses of all times.
+            self._wait = 2 * self._updates
+            return False
         point = self._tree.getLinearizationPoint()
         try:
             marginal = _marginal(_some(held, inside), point, leaving)
