@@ -9,6 +9,7 @@ from tests.cli.test_compare import course_file
 from tests.conftest import recorded
 from vislam.comparison.config import DataConfig, HeldOutConfig
 from vislam.comparison.open import Dataset, open_dataset
+from vislam.core.rigid_fit import continuations
 from vislam.core.sequence import Sequence
 from vislam.datasets.course_npz import load_course_npz
 from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
@@ -118,6 +119,29 @@ def test_tracks_on_a_moving_object_are_cut(short: Dataset):
     assert np.nanmedian(residual[~moving]) < 2.5
     untouched = Consensus(threshold=8.0).apply(sequence).counts["inconsistent_cuts"]
     assert untouched < 0.02 * sequence.observations
+
+
+def test_where_ids_are_those_of_landmarks_none_is_split(short: Dataset):
+    sequence, rng = short.sequence, np.random.default_rng(2)
+    off = rng.random(sequence.observations) < 0.08
+    pixels = sequence.pixels.copy()
+    pixels[off] += np.tile(rng.choice([-1.0, 1.0], (int(off.sum()), 2)) * rng.uniform(20.0, 50.0), 2)
+    spoilt = replace(sequence, pixels=pixels)
+    cut, kept = Consensus().apply(spoilt), Consensus(recognised=True).apply(spoilt)
+    assert len(np.unique(cut.track)) > 1.5 * len(np.unique(sequence.track))
+    assert np.isin(kept.track, sequence.track).all()
+    assert len(np.unique(kept.track)) > 0.9 * len(np.unique(sequence.track))
+    left = np.isin(sequence.row, kept.row)
+    neighbours = np.isin(np.arange(sequence.observations), _with_neighbour(sequence))
+    assert np.mean(left[off & neighbours]) < 0.1
+    assert np.mean(left[~off]) > 0.9
+    assert kept.counts["dropped_inconsistent"] == np.sum(~left)
+
+
+def _with_neighbour(sequence):
+    """Rows of observations of a track that was seen in the frame before or after, too."""
+    pairs = continuations(sequence)
+    return np.union1d(pairs.before, pairs.after)
 
 
 def test_a_wild_inertial_sample_does_not_stop_the_vote(tmp_path):

@@ -151,6 +151,16 @@ class LandmarksConfig:
             return 0
         return _ALL if self.kept == "always" else int(self.kept.removeprefix("most "))
 
+    def repairs(self, repair: RepairConfig) -> RepairConfig:
+        """Repairs where landmarks come back: they are the same, whatever became of their tracks."""
+        if not self.most:
+            return repair
+        if repair.interruptions is not None:
+            repair = replace(repair, interruptions=replace(repair.interruptions, kept=self.most))
+        if repair.consensus is not None:
+            repair = replace(repair, consensus=replace(repair.consensus, recognised=True))
+        return repair
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ReferenceAccuracy:
@@ -225,11 +235,8 @@ class DataConfig:
 
     @property
     def repairs(self) -> RepairConfig:
-        """The repairs as they are applied, interruptions by what becomes of landmarks out of view."""
-        step = self.repair.interruptions
-        if step is None or not self.landmarks.most:
-            return self.repair
-        return replace(self.repair, interruptions=replace(step, kept=self.landmarks.most))
+        """The repairs as they are applied, those of tracks by what becomes of landmarks out of view."""
+        return self.landmarks.repairs(self.repair)
 
     @property
     def recorded_file(self) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 from vislam.base.settings import LONGEST_NAME
 from vislam.base.types import Array
 from vislam.comparison import config as configuration
-from vislam.comparison.config import Config
+from vislam.comparison.config import Config, DataConfig, LandmarksConfig
 from vislam.core.pooled_fit import inertial_pairs, twist_error
 from vislam.core.rigid_fit import RigidFit, continuations, rigid_fits
 from vislam.core.sequence import Sequence
@@ -100,19 +100,19 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
         _check_tracks(plausible, config, book)
     else:
         _check_motion(plausible, config, book)
-    found = _checked_repairs(sequence, repair, book.found)
+    found = _checked_repairs(sequence, config.data, book.found)
     if few.verdict in ("fault", "unclear"):
         # What all others rest on goes first.
         found = [few, *(item for item in found if item.check != few.check)]
     return Inspection(raw.name, tuple(found), book.series)
 
 
-def _checked_repairs(sequence: Sequence, repair: RepairConfig, found: list[Finding]) -> list[Finding]:
+def _checked_repairs(sequence: Sequence, data: DataConfig, found: list[Finding]) -> list[Finding]:
     """Findings without the proposals of steps that would leave nearly nothing, and what the repairs leave."""
-    proposed = _repaired(sequence, repair, found)
-    if proposed.observations < _KEPT * _repaired(sequence, repair, []).observations:
+    proposed = _repaired(sequence, data, found)
+    if proposed.observations < _KEPT * _repaired(sequence, data, []).observations:
         found = [_withdrawn(item, proposed.observations, sequence.observations) for item in found]
-        proposed = _repaired(sequence, repair, found)
+        proposed = _repaired(sequence, data, found)
     counts: dict[str, float] = {"observations": proposed.observations, "of": sequence.observations}
     left = f"with what is proposed they leave {proposed.observations} of {sequence.observations} observations"
     heavy = [
@@ -127,16 +127,19 @@ def _checked_repairs(sequence: Sequence, repair: RepairConfig, found: list[Findi
     return [*found, Finding("repairs", "fault", text, counts=counts, unknown=unknown)]
 
 
-def _repaired(sequence: Sequence, repair: RepairConfig, found: list[Finding]) -> Sequence:
+def _repaired(sequence: Sequence, data: DataConfig, found: list[Finding]) -> Sequence:
     """Sequence under the configured repairs and those that the findings propose."""
-    tree: dict[str, Any] = asdict(repair)
+    tree: dict[str, Any] = asdict(data.repair)
+    landmarks = data.landmarks
     for finding in found:
+        if tracks.LANDMARKS in finding.settings and not landmarks.most:
+            landmarks = LandmarksConfig(**finding.settings[tracks.LANDMARKS])
         for path, value in finding.proposal.items():
             if path.startswith(_REPAIR):
                 tree[path.removeprefix(_REPAIR)] = value
     # With the disparity step off, disparities of zero reach the vote of the tracks as points at infinity.
     with np.errstate(all="ignore"):
-        return apply(sequence, configuration.parse(RepairConfig, tree))
+        return apply(sequence, landmarks.repairs(configuration.parse(RepairConfig, tree)))
 
 
 def _withdrawn(finding: Finding, left: int, of: int) -> Finding:

@@ -22,6 +22,7 @@ _LEAST = 3
 _LISTED = 12
 _SEEN_AGAIN = 0.25
 """Share of the tracks that come back from which on ids are taken for those of landmarks."""
+LANDMARKS = "data.landmarks"
 _REMEMBERED = "most 100"
 """Landmarks out of view that are kept then: a bound on what a step of a filter takes."""
 
@@ -137,7 +138,7 @@ def check_seen_again(sequence: Sequence, *, kept: str) -> Finding:
     text = (
         f"{text}, for {np.median(gap[gap > 1]) - 1:.0f} frames half of the times: ids are those of landmarks"
     )
-    settings = {"data.landmarks": {"kept": _REMEMBERED}}
+    settings = {LANDMARKS: {"kept": _REMEMBERED}}
     if kept != "while_tracked":
         text = f"{text}; kept: {kept} as configured"
     return Finding("landmarks seen again", "note", text, counts=counts, settings=settings)
