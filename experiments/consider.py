@@ -1,11 +1,11 @@
 """Covariances beside the estimators' own, on recordings and in simulation.
 
 ``python -m experiments.consider`` runs ``eks`` and ``isam2`` on the recordings of :data:`RECORDINGS` with one
-setting of what is considered (:data:`CONSIDER`) and a sandwich of :data:`BLOCKS` blocks, and ``eks`` on
-simulated drives with the right model and with a camera that is turned in the body; it writes
-``docs/results/consider_covariance.md``. ``ekf_invariant`` is the forward half of ``eks``, so that the causal
-poses of ``eks`` are its own. With results folders as arguments it takes those and runs no recording; what
-several have of one run is put together.
+setting of what is considered (:data:`~vislam.comparison.config.ORDINARY`) and a sandwich of :data:`BLOCKS`
+blocks, and ``eks`` on simulated drives with the right model and with a camera that is turned in the body; it
+writes ``docs/results/consider_covariance.md``. ``ekf_invariant`` is the forward half of ``eks``, so that the
+causal poses of ``eks`` are its own. With results folders as arguments it takes those and runs no recording;
+what several have of one run is put together.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from vislam.cli.console import Terminal
 from vislam.comparison import config as configuration
 from vislam.comparison.compare import compare, run_comparison
 from vislam.comparison.config import (
+    ORDINARY,
     Config,
     ConsiderConfig,
     DataConfig,
@@ -46,16 +47,6 @@ RECORDINGS = {
     "battle/kitti_0020": "Clement 0020",
     "battle/starry_night": "Starry Night",
 }
-CONSIDER = ConsiderConfig(
-    camera_rotation=0.003,
-    disparity_offset=0.3,
-    principal_point=2.0,
-    clock=0.02,
-    velocity_direction=0.01,
-    tracker_bias=0.05,
-)
-"""One setting for all: mounting to 0.2 deg, stereo matching to 0.3 px, calibration to 2 px, stamps to a fifth
-of a frame, velocity to 0.6 deg, tracking to a twentieth of a pixel a frame."""
 BLOCKS = 8
 SEEDS = 4
 TURN = 0.003
@@ -96,7 +87,7 @@ def _run(name: str, out: Path, processes: int, blocks: int) -> Path:
         configuration.load(path), {"eks": {}, "isam2": {"marginals": "poses"}}
     )
     sandwich = SandwichConfig(blocks=blocks) if blocks else None
-    config = replace(config, consider=CONSIDER, sandwich=sandwich)
+    config = replace(config, consider=ORDINARY, sandwich=sandwich)
     return compare(
         config,
         out=out,
@@ -200,7 +191,7 @@ def page(recorded: Rows, drawn: Rows, machine: str) -> str:
 
 def settings() -> Iterator[str]:
     """What is considered, a line each."""
-    for name, value in asdict(CONSIDER).items():
+    for name, value in asdict(ORDINARY).items():
         if value:
             unit = PARAMETERS[name].unit
             yield f"`{name}`: {value:g}{' ' if unit else ''}{unit}"

@@ -1,17 +1,22 @@
 """Consider covariance and sandwich: against closed forms on a linear problem, whatever the estimator."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tests import linear_filter
 from tests.linear_filter import METRES_PER_PX, variance_of
 from vislam.base.errors import ConfigError
 from vislam.base.files import save_archive
 from vislam.base.progress import Silent
+from vislam.base.shipped import find_config
+from vislam.comparison import config as configuration
 from vislam.comparison.compare import prepare, run_comparison
 from vislam.comparison.config import (
+    ORDINARY,
     Config,
     ConsiderConfig,
     DataConfig,
@@ -26,6 +31,8 @@ from vislam.core.moved_data import moved
 from vislam.core.run import Run
 from vislam.evaluation import evaluate
 from vislam.evaluation.agreement import agreement
+from vislam.inspection.finding import Inspection
+from vislam.inspection.written import proposed_config
 from vislam.models.odometry import ACROSS
 from vislam.simulation import SimulationConfig
 
@@ -259,3 +266,17 @@ def test_a_wrong_extrinsic_is_inside_the_interval_where_it_is_considered_and_out
     # Ten drives with one draw of three numbers each: 30 degrees of freedom beside the noise.
     assert 0.5 < considered < 1.7
     assert 0.75 < covered <= 1.0
+
+
+def test_one_setting_of_what_is_considered_is_shipped_and_written():
+    for name in ("ds3_considered", "kitti07_considered"):
+        assert configuration.load(find_config(name)).consider == ORDINARY
+    for motion, absent in (("odometry", ""), ("imu", "velocity_direction")):
+        tree = {"name": "a", "data": {"file": "a.npz"}, "motion": motion}
+        text = proposed_config(tree, Inspection("a", (), {}), folders=[], written_to=Path("a.yaml"))
+        line = next(line for line in text.splitlines() if "what all tracks may share" in line)
+        section = yaml.safe_load(line.partition(": ")[2])
+        assert set(asdict(ORDINARY)) - {name for name, value in asdict(ORDINARY).items() if not value} - {
+            absent
+        } == set(section)
+        assert configuration.parse(Config, {**tree, "consider": section}).consider.tracker_bias == 0.05

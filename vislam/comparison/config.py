@@ -426,6 +426,19 @@ class ConsiderConfig:
                     yield name, index, sigma
 
 
+ORDINARY = ConsiderConfig(
+    camera_rotation=0.003,
+    disparity_offset=0.3,
+    principal_point=2.0,
+    clock=0.02,
+    velocity_direction=0.01,
+    tracker_bias=0.05,
+)
+"""What a calibration and a tracker with nothing wrong with them may be off by: a mounting to 0.2 deg, stereo
+matching to 0.3 px, images to 2 px, stamps to a fifth of a frame, a velocity to 0.6 deg, tracking to a
+twentieth of a pixel a frame. One setting for all recordings, fitted to none."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SandwichConfig:
     """Covariances from the scores of blocks of time, as a second opinion."""

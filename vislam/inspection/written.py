@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from vislam.base.legible import one_line
 from vislam.comparison import config as configuration
-from vislam.comparison.config import Config
+from vislam.comparison.config import ORDINARY, Config
 from vislam.datasets.find import find_path
 from vislam.inspection.finding import Inspection
 
@@ -49,11 +50,23 @@ def proposed_config(
         configuration.put(changed, dotted, value)
     for path in _FILES:
         _point_at(changed, path, folders, written_to.resolve().parent)
-    text = configuration.dump(configuration.parse(Config, changed))
-    marks = {dotted: f"unknown: {reason}" for dotted, reason in result.unknown.items()}
+    config = configuration.parse(Config, changed)
+    text = configuration.dump(config)
+    marks = _considered(config) | {dotted: f"unknown: {reason}" for dotted, reason in result.unknown.items()}
     told = [_comment(f"By python -m vislam.inspect on {result.name}, from its data alone. Its findings:")]
     told += [_comment(f"{item.verdict.upper()} {item.check}: {item.text}") for item in result.findings]
     return "\n".join([*told, *annotated(text.splitlines(), marks)]) + "\n"
+
+
+def _considered(config: Config) -> dict[str, str]:
+    """Mark with what all tracks may share, for a config that considers none of it."""
+    if next(config.consider.components(), None) is not None:
+        return {}
+    wanted = replace(ORDINARY, velocity_direction=0.0) if config.motion == "imu" else ORDINARY
+    named = ", ".join(f"{name}: {value:g}" for name, value in asdict(wanted).items() if value)
+    runs = len(list(wanted.components()))
+    told = f"covariances with what all tracks may share, by {runs} more runs of each estimator"
+    return {"consider": f"{told}: {{{named}}}"}
 
 
 def _given(tree: Mapping[str, Any], dotted: str) -> bool:
