@@ -12,7 +12,7 @@ from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.parameters import Parameter, largest_of, lowest_of, scaled
 from vislam.calibration.search import Maximum
 from vislam.calibration.shared import without_shared
-from vislam.calibration.trial import CLAIMED, Trial, objections, trial
+from vislam.calibration.trial import CLAIMED, Trial, objections, trials
 from vislam.comparison.config import Config
 
 _RAISINGS = 3
@@ -86,8 +86,11 @@ def score_candidates(
         Observations that neither gate has rejected.
     """
     block = block_of(len(evaluator.dataset.sequence))
-    first = trial(before, evaluator)
-    fitted = [_as_shown(config, first, evaluator) for config in candidates.values()]
+    first, *found = trials([before, *candidates.values()], evaluator)
+    fitted = [
+        _as_shown(_Fitted(config, one, 1.0), first, evaluator)
+        for config, one in zip(candidates.values(), found, strict=True)
+    ]
     jobs = [
         before,
         *(scaled(_with_noise_of(fold, one.config), one.scale) for one in fitted for fold in folds),
@@ -118,16 +121,15 @@ class _Fitted:
     scale: float
 
 
-def _as_shown(config: Config, before: Trial, evaluator: Evaluator) -> _Fitted:
+def _as_shown(fitted: _Fitted, before: Trial, evaluator: Evaluator) -> _Fitted:
     """Config whose pixel noise is raised until its covariances claim no more than it shows."""
-    found, scale = trial(config, evaluator), 1.0
     for _ in range(_RAISINGS):
-        more = found.overclaim(before)
+        more = fitted.trial.overclaim(before)
         if more <= CLAIMED:
             break
-        scale, config = scale * more, scaled(config, more)
-        found = trial(config, evaluator)
-    return _Fitted(config, found, scale)
+        config = scaled(fitted.config, more)
+        fitted = _Fitted(config, trials([config], evaluator)[0], fitted.scale * more)
+    return fitted
 
 
 def chosen_of(candidates: list[Candidate]) -> Candidate | None:

@@ -1,21 +1,20 @@
-"""The calibration: choose observations by the gate, maximise, choose again, until both have converged."""
+"""The calibration: search, what was found as configs, and which of them predicts best."""
 
 import logging
 import time
 from collections.abc import Callable
 from collections.abc import Sequence as Items
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vislam.base.errors import DivergedError
-from vislam.base.types import Array, BoolArray
+from vislam.base.types import Array
 from vislam.base.workers import Workers
 from vislam.calibration.candidates import Candidate, chosen_of, left_out_points, score_candidates
+from vislam.calibration.choices import finished, search, work_of
 from vislam.calibration.likelihood import Evaluator
-from vislam.calibration.match import MatchingBias, matching_bias
-from vislam.calibration.parameters import MATCH, Parameter, largest_of, lowest_of, scaled
-from vislam.calibration.search import ROUNDS, Maximum, Round, maximise
+from vislam.calibration.parameters import MATCH, Parameter, at, scaled
+from vislam.calibration.reporter import Reporter
 from vislam.calibration.shared import with_priors, with_shared, without_shared
 from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
 from vislam.comparison.config import Config
@@ -27,12 +26,6 @@ from vislam.evaluation.shared_errors import EstimatedError, estimated_errors
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS
 
 _log = logging.getLogger("vislam.calibration")
-_CHOICES = 3
-"""How often the gate may choose anew."""
-_RESTS = 0.002
-"""Share of the observations whose change of side ends the choosing."""
-_MATCH_RESTS = 0.5
-"""Change of the match level, in its standard deviations, that ends it."""
 _LEVELLINGS, _LEVEL = 3, 0.05
 """How often the pixel noise is scaled at most, and how near to 1 the NIS must come."""
 _LEAST_BIAS_SIGMA = 1e-5
@@ -160,37 +153,11 @@ def calibrate(
             Evaluator(dataset, config, workers),
             others,
             rest=rest,
-            reporter=_Reporter(say, keep),
+            reporter=Reporter(say, keep, processes),
         )
     finally:
         if workers is not None:
             workers.close()
-
-
-@dataclass
-class _Reporter:
-    """Reports the progress of the calibration, and passes on the best config so far."""
-
-    say: Callable[[str], None]
-    keep: Callable[[Config, str], None]
-    _began: float = field(default_factory=time.monotonic)
-    _rounds: int = 0
-
-    def round(self, config: Config, ended: Round, *, choice: int) -> None:
-        """Report a round that has ended with this config."""
-        self._rounds += 1
-        each = (time.monotonic() - self._began) / self._rounds
-        left = ROUNDS - ended.number + ROUNDS * (_CHOICES - choice)
-        where = f"choice {choice} of at most {_CHOICES}, round {ended.number} of at most {ROUNDS}"
-        self.keep(config, where)
-        self.say(
-            f"{where}: log likelihood {ended.log_likelihood:.1f}, gained {ended.gain:.1f}; "
-            f"{each:.1f} s a round, at most {_duration(each * left)} left"
-        )
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"
 
 
 def _calibrate(
@@ -200,11 +167,13 @@ def _calibrate(
     also: Items[Evaluator],
     *,
     rest: Standstill,
-    reporter: _Reporter,
+    reporter: Reporter,
 ) -> Calibration:
-    before = _finished(evaluator.run(config))
+    began = time.monotonic()
+    before = finished(evaluator.run(config))
     start = with_shared(config, searched=[item.name for item in chosen])
-    searched = _search(start, chosen, evaluator, reporter)
+    reporter.begin(work_of(start, chosen, evaluator), run=time.monotonic() - began)
+    searched = search(start, chosen, evaluator, reporter)
     current, run = _levelled(searched.config, evaluator, searched.run, reporter)
     # The pixel noise that was levelled belongs to each fold, too.
     scale = current.noise.pixel_sigma_px / searched.config.noise.pixel_sigma_px
@@ -218,7 +187,7 @@ def _calibrate(
     }
     reporter.say("scored on parts of the recording that were not fitted")
     folds = [
-        scaled(_at(searched.config, chosen, point), scale)
+        scaled(at(searched.config, chosen, point), scale)
         for point in left_out_points(searched.maximum, len(before.stamp), chosen)
     ]
     scored = score_candidates(
@@ -231,7 +200,7 @@ def _calibrate(
     )
     best = chosen_of(scored)
     final = config if best is None else best.config
-    after = before if best is None else _finished(evaluator.run(final))
+    after = before if best is None else finished(evaluator.run(final))
     found = [
         _with_interval(item, config, item.searched(item.read(current)), sigma)
         for item, sigma in zip(chosen, searched.maximum.sigma, strict=True)
@@ -253,56 +222,6 @@ def _calibrate(
     )
 
 
-@dataclass(frozen=True)
-class _Searched:
-    """Where the search ended."""
-
-    config: Config
-    run: Run
-    maximum: Maximum
-    match: MatchingBias
-
-
-def _search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporter: _Reporter) -> _Searched:
-    """Choose observations by the gate, maximise, choose again, until both have converged."""
-    current, match = start, matching_bias(start, evaluator)
-    for choice in range(1, _CHOICES + 1):
-        current = MATCH.write(current, match.pixels)
-        run = _finished(evaluator.run(current))
-        usable = ~run.gated
-        begin = current
-
-        def evaluate(points: list[Array], begin: Config = begin, usable: BoolArray = usable) -> list[Array]:
-            return evaluator.log_likelihoods([_at(begin, chosen, point) for point in points], usable=usable)
-
-        def ended(found: Round, begin: Config = begin, choice: int = choice) -> None:
-            reporter.round(_at(begin, chosen, found.point), found, choice=choice)
-
-        maximum = maximise(
-            evaluate,
-            np.array([item.searched(item.read(current)) for item in chosen]),
-            steps=np.array([item.step for item in chosen]),
-            lowest=lowest_of(chosen),
-            largest=largest_of(chosen),
-            on_round=ended,
-        )
-        current = _at(current, chosen, maximum.point)
-        run = _finished(evaluator.run(current))
-        changed = int(np.sum(run.gated == usable))
-        reporter.say(
-            f"choice {choice} of observations: {maximum.rounds} rounds, "
-            f"log likelihood {maximum.log_likelihood:.1f}, NIS per degree of freedom {run.nis_per_dof:.3f}, "
-            f"{changed} observations changed sides"
-        )
-        # The level of the match was read off with the noise from before this choice.
-        again = matching_bias(current, evaluator)
-        match_rests = abs(again.pixels - match.pixels) <= _MATCH_RESTS * again.sigma
-        if (changed <= _RESTS * len(usable) and match_rests) or choice == _CHOICES:
-            break
-        match = again
-    return _Searched(current, run, maximum, match)
-
-
 def _with_bias(current: Config, config: Config, rest: Standstill) -> Config:
     """Config with the prior of the bias of the config from before, but for what a standstill tells.
 
@@ -316,7 +235,7 @@ def _with_bias(current: Config, config: Config, rest: Standstill) -> Config:
     return replace(current, noise=changed)
 
 
-def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporter) -> tuple[Config, Run]:
+def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: Reporter) -> tuple[Config, Run]:
     """Config whose pixel noise is raised until the NIS per degree of freedom of the gated filter is 1.
 
     The maximum sets it to 1 over the observations that it was sought on. Where the tails are heavy, the
@@ -328,7 +247,7 @@ def _levelled(config: Config, evaluator: Evaluator, run: Run, reporter: _Reporte
             break
         scale = float(np.sqrt(ratio))
         config = scaled(config, scale)
-        run = _finished(evaluator.run(config))
+        run = finished(evaluator.run(config))
         reporter.say(f"pixel noise times {scale:.3f}, for the NIS per degree of freedom was {ratio:.3f}")
     return config, run
 
@@ -340,9 +259,9 @@ def _steady(config: Config, evaluator: Evaluator, run: Run) -> Run:
     """
     if config.motion == "imu":
         # Biases of raw inertia do walk, and are those of the last frame.
-        return _finished(evaluator.run(config, usable=~run.gated))
+        return finished(evaluator.run(config, usable=~run.gated))
     steady = replace(config, noise=replace(config.noise, bias_walk=(0.0,) * 6))
-    return _finished(evaluator.run(steady, usable=~run.gated))
+    return finished(evaluator.run(steady, usable=~run.gated))
 
 
 def _bias(run: Run) -> tuple[Array, Array]:
@@ -350,18 +269,6 @@ def _bias(run: Run) -> tuple[Array, Array]:
     names = (TWIST_BIAS,) if TWIST_BIAS in run.states else (GYRO_BIAS, ACCEL_BIAS)
     value = np.concatenate([run.states[name].value[-1] for name in names])
     return value, np.concatenate([run.states[name].sigma[-1] for name in names])
-
-
-def _at(config: Config, chosen: list[Parameter], point: Array) -> Config:
-    for item, searched in zip(chosen, point, strict=True):
-        config = item.write(config, item.value(float(searched)))
-    return config
-
-
-def _finished(run: Run) -> Run:
-    if not run.complete:
-        raise DivergedError(f"the filter did not finish, so there is no likelihood: {run.log.error}")
-    return run
 
 
 def _with_interval(item: Parameter, config: Config, searched: float, sigma: float) -> Calibrated:

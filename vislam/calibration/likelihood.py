@@ -1,10 +1,14 @@
 """Likelihood of a config: the filter run over a repaired sequence with a frozen choice of observations."""
 
+from collections.abc import Callable
 from collections.abc import Sequence as Items
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.base.workers import Workers
 from vislam.comparison.compare import make_problem, pixel_sigma
@@ -14,6 +18,8 @@ from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
+from vislam.estimators.ekf.scores import INPUTS, Scores, levels
+from vislam.estimators.ekf.state import JointState
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
@@ -23,6 +29,64 @@ _OPTIONS = EkfOptions(
 """The consistent filter, without the backward pass: only innovations are wanted."""
 _SMOOTHED = EkfOptions(error="invariant", landmarks="anchored_uvd", smoothed=True)
 """As ``eks`` ships."""
+STRETCHES, SHARE = 8, 0.25
+"""Stretches that stand for a long recording, and which share of its frames is theirs."""
+_SHORTEST = 30
+"""Frames of a stretch, at least."""
+BEFORE = 16
+"""Frames before a stretch that the filter takes as well: the length of most tracks."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some frames of a recording.
+
+    Attributes
+    ----------
+    begin, counted, end : int
+        The filter takes the frames from ``begin`` to before ``end``; from ``counted`` on their likelihood
+        counts.
+    state : JointState or None
+        Of the filter before the first of them; None before the first of all.
+    """
+
+    begin: int
+    counted: int
+    end: int
+    state: JointState | None = None
+
+
+@dataclass(frozen=True)
+class Gated:
+    """The filter with its gate.
+
+    Attributes
+    ----------
+    run : Run
+    track : (m,)
+        Tracks that have ended.
+    matching_bias, variance : (m,)
+        Their stereo-matching biases as the filter knows them, and the variances of these.
+    stretches : tuple of Stretch
+        That stand for the recording; none where they would be most of it, or short.
+    halves : tuple of Stretch
+        The whole recording, in two that do not wait for each other.
+    """
+
+    run: Run
+    track: IntArray
+    matching_bias: Array
+    variance: Array
+    stretches: tuple[Stretch, ...]
+    halves: tuple[Stretch, ...]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Log likelihood of each frame ``(T,)`` and its derivatives; minus infinity where the filter fails."""
+
+    log_likelihood: Array
+    scores: Scores
 
 
 @dataclass(frozen=True)
@@ -42,29 +106,88 @@ class Evaluator:
     base: Config
     workers: Workers | None = None
 
+    @property
+    def stands_alone(self) -> bool:
+        """Whether the recording is too short for stretches to stand for it."""
+        return not _stretches_of(len(self.dataset.sequence))
+
     def run(self, config: Config, *, usable: BoolArray | None = None) -> Run:
         """Run the filter; with ``usable (n,)`` given, that choice of observations replaces the gate."""
         return _filter(self._moved(config), config, usable)
 
-    def smoothed(self, config: Config) -> tuple[Dataset, Run]:
-        """Run the smoothed filter, with its gate; the dataset is as the config has it."""
-        dataset = self._moved(config)
-        solver = EkfEstimator(_problem(config, dataset), _SMOOTHED)
-        return dataset, _run(solver, dataset, config, None)
-
-    def matching_biases(self, config: Config) -> tuple[IntArray, Array, Array]:
-        """Match errors of the tracks that ended and their variances, as the gated filter knows them."""
+    def gated(self, config: Config) -> Gated:
+        """Run the filter with its gate, and ask for what it knows besides."""
         dataset = self._moved(config)
         solver = EkfEstimator(_problem(config, dataset), _OPTIONS)
-        _run(solver, dataset, config, None)
-        return solver.matching_biases()
+        frames = len(dataset.sequence)
+        stretches, halves = _stretches_of(frames), _halves_of(frames)
+        begins, states = {one.begin for one in (*stretches, *halves)}, dict[int, JointState]()
 
-    def log_likelihoods(self, configs: Items[Config], *, usable: BoolArray) -> list[Array]:
-        """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
-        jobs = [(self._moved(config), config, usable) for config in configs]
-        if self.workers is None:
-            return [_log_likelihood(job) for job in jobs]
-        return self.workers.map(_log_likelihood, jobs)
+        def passed(k: int) -> None:
+            if k + 1 in begins:
+                states[k + 1] = solver.state.copy()
+
+        run = _run(solver, dataset, config, None, on_frame=passed)
+
+        def begun(some: list[Stretch]) -> tuple[Stretch, ...]:
+            return tuple(replace(one, state=states.get(one.begin)) for one in some)
+
+        return Gated(run, *solver.matching_biases(), begun(stretches), begun(halves))
+
+    def levels(self, config: Config) -> Array:
+        """Noise levels ``(LEVELS,)`` of a config that :meth:`scored` takes scores of."""
+        return levels(_problem(config, self._moved(config)))
+
+    def inputs(self, config: Config) -> Array:
+        """What is recorded of the motion ``(T, INPUTS)``, as a config has it; zeros with raw inertia."""
+        sequence = self._moved(config).sequence
+        if config.motion == "imu":
+            return np.zeros((len(sequence), INPUTS))
+        return np.nan_to_num(np.column_stack(sequence.step_means()))
+
+    def scored(
+        self, config: Config, others: Items[Config], *, usable: BoolArray, stretches: Items[Stretch]
+    ) -> tuple[Scored, list[Array]]:
+        """Score a config by the backward pass, and the log likelihoods of others beside it.
+
+        All are those of the frames of the stretches, whether they are counted or not.
+        """
+        every = [replace(one, counted=one.begin) for one in stretches]
+        jobs = self._jobs([config, *others], usable, every)
+        of_config = [replace(job, scored=True) for job in jobs[: len(every)]]
+        answers = self.map(_answer, [*of_config, *jobs[len(every) :]])
+        parts = answers[: len(every)]
+        scores = Scores(
+            np.concatenate([part.scores.levels for part in parts]),
+            np.concatenate([part.scores.inputs for part in parts]),
+        )
+        found = Scored(np.concatenate([part.log_likelihood for part in parts]), scores)
+        return found, _joined(answers[len(every) :], len(every))
+
+    def log_likelihoods(
+        self, configs: Items[Config], *, usable: BoolArray, stretches: Items[Stretch] = ()
+    ) -> list[Array]:
+        """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails.
+
+        The frames are those that count of the stretches; all if none are given.
+        """
+        every = stretches or [Stretch(0, 0, len(self.dataset.sequence))]
+        return _joined(self.map(_answer, self._jobs(configs, usable, every)), len(every))
+
+    def smoothed(self, configs: Items[Config]) -> list[tuple[Dataset, Run]]:
+        """Run the smoothed filter with its gate for each config; each dataset is as its config has it."""
+        return self.map(_smoothed, [(self._moved(config), config) for config in configs])
+
+    def map(self, work: Callable[[Any], Any], jobs: Items[Any]) -> list[Any]:
+        """Answers to jobs, by the processes that share the work."""
+        return [work(job) for job in jobs] if self.workers is None else self.workers.map(work, jobs)
+
+    def _jobs(self, configs: Items[Config], usable: BoolArray, stretches: Items[Stretch]) -> list["_Job"]:
+        jobs = []
+        for config in configs:
+            dataset = self._moved(config)
+            jobs += [_Job(dataset, config, usable, stretch) for stretch in stretches]
+        return jobs
 
     def _moved(self, config: Config) -> Dataset:
         """Dataset with the clock and the disparities of a config, all other repairs as they were."""
@@ -91,13 +214,80 @@ def _problem(config: Config, dataset: Dataset) -> Problem:
     return replace(make_problem(config, dataset), kernel=None)
 
 
-def _run(solver: EkfEstimator, dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:
-    sigma = pixel_sigma(config, dataset)
+def _run(
+    solver: EkfEstimator,
+    dataset: Dataset,
+    config: Config,
+    usable: BoolArray | None,
+    *,
+    on_frame: Callable[[int], None] = lambda k: None,
+) -> Run:
     return loop.run(
-        solver, dataset.sequence, sigma, name="ekf", usable=usable, blas_threads=config.blas_threads
+        solver,
+        dataset.sequence,
+        pixel_sigma(config, dataset),
+        name="ekf",
+        usable=usable,
+        on_frame=on_frame,
+        blas_threads=config.blas_threads,
     )
 
 
-def _log_likelihood(job: tuple[Dataset, Config, BoolArray]) -> Array:
-    run = _filter(*job)
-    return run.innovations.log_likelihood if run.complete else np.full(run.frames_expected, -np.inf)
+def _stretches_of(frames: int) -> list[Stretch]:
+    """Stretches of a recording; none where they would be most of it."""
+    length = max(round(SHARE * frames / STRETCHES), _SHORTEST)
+    if 2 * STRETCHES * length > frames:
+        return []
+    counted = np.arange(STRETCHES) * frames // STRETCHES + (frames // STRETCHES - length)
+    return [Stretch(max(first - BEFORE, 0), first, first + length) for first in counted.tolist()]
+
+
+def _halves_of(frames: int) -> list[Stretch]:
+    """Both halves of a recording."""
+    middle = frames // 2
+    return [Stretch(0, 0, middle), Stretch(middle, middle, frames)]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """The filter over a stretch; ``usable (n,)`` are the observations that are fused."""
+
+    dataset: Dataset
+    config: Config
+    usable: BoolArray
+    stretch: Stretch
+    scored: bool = False
+
+
+def _answer(job: _Job) -> Array | Scored:
+    """Log likelihood of each frame that counts, and its derivatives where these are asked for."""
+    stretch, many = job.stretch, len(job.dataset.sequence)
+    options = replace(_OPTIONS, gate=False)
+    solver = EkfEstimator(_problem(job.config, job.dataset), options, scored=job.scored)
+    if stretch.state is not None:
+        solver.state = stretch.state.copy()
+    sigma = pixel_sigma(job.config, job.dataset)
+    frames = job.dataset.sequence.frames(sigma, job.usable, begin=stretch.begin, end=stretch.end)
+    failed = False
+    try:
+        with threadpool_limits(job.config.blas_threads), np.errstate():
+            value = np.array([solver.process(frame).log_likelihood for frame in frames])
+    except (DivergedError, np.linalg.LinAlgError):
+        value, failed = np.full(stretch.end - stretch.begin, -np.inf), True
+    value = value[stretch.counted - stretch.begin :]
+    if not job.scored:
+        return value
+    rows = slice(stretch.counted, stretch.end)
+    found = Scores.none(many) if failed else solver.scores(many)
+    return Scored(value, Scores(found.levels[rows], found.inputs[rows]))
+
+
+def _joined(parts: list[Array], each: int) -> list[Array]:
+    """Arrays joined by so many on end."""
+    return [np.concatenate(parts[start : start + each]) for start in range(0, len(parts), each)]
+
+
+def _smoothed(job: tuple[Dataset, Config]) -> tuple[Dataset, Run]:
+    dataset, config = job
+    solver = EkfEstimator(_problem(config, dataset), _SMOOTHED)
+    return dataset, _run(solver, dataset, config, None)

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.calibration.likelihood import Evaluator
+from vislam.calibration.likelihood import Evaluator, Gated
 from vislam.comparison.config import Config
 
-_ITERATIONS = 4
+MOST_ITERATIONS = 4
+"""Of the fixed point."""
 _RESTS = 0.01
 _KNOWN = 0.5
 """A stereo-matching bias counts once its variance has fallen to this share of its initial value."""
@@ -33,25 +34,36 @@ class MatchingBias:
     found: bool
 
 
-def matching_bias(config: Config, evaluator: Evaluator) -> MatchingBias:
+def matching_bias(config: Config, evaluator: Evaluator, *, most: int = MOST_ITERATIONS) -> MatchingBias:
     """Level of the stereo-matching bias on the evaluator's sequence, with the config's other settings."""
-    level, sigma = max(config.noise.matching_bias_px, 0.1), np.inf
-    first_disparity = _first_disparities(evaluator)
-    for _ in range(_ITERATIONS):
+    level = max(config.noise.matching_bias_px, 0.1)
+    for _ in range(most):
         trial = replace(config, noise=replace(config.noise, matching_bias_px=level))
-        track, error, variance = evaluator.matching_biases(trial)
-        prior = (level / first_disparity[track]) ** 2
-        known = variance < _KNOWN * prior
-        if np.count_nonzero(known) < _FEWEST:
-            return MatchingBias(config.noise.matching_bias_px, np.inf, False)
-        # What has been learnt of an error has the variance that its own has lost.
-        learnt = 1.0 - variance[known] / prior[known]
-        pixels = error[known] / np.sqrt(learnt) * first_disparity[track[known]]
-        before, level = level, max(_NORMAL * float(np.median(np.abs(pixels))), 0.02)
-        sigma = _SPREAD * level / np.sqrt(len(pixels))
+        again = matching_bias_of(trial, evaluator, evaluator.gated(trial))
+        if not again.found:
+            return replace(again, pixels=config.noise.matching_bias_px)
+        before, level = level, again.pixels
         if abs(level - before) < _RESTS * before:
             break
-    return MatchingBias(level, float(sigma), True)
+    return again
+
+
+def matching_bias_of(config: Config, evaluator: Evaluator, gated: Gated) -> MatchingBias:
+    """Level that explains the errors which the filter has estimated that ran with a config.
+
+    It is an iteration of the fixed point: where it is the config's own, that is the level.
+    """
+    level = config.noise.matching_bias_px
+    first_disparity = _first_disparities(evaluator)[gated.track]
+    prior = (level / first_disparity) ** 2
+    known = gated.variance < _KNOWN * prior
+    if np.count_nonzero(known) < _FEWEST:
+        return MatchingBias(level, np.inf, False)
+    # What has been learnt of an error has the variance that its own has lost.
+    learnt = 1.0 - gated.variance[known] / prior[known]
+    pixels = gated.matching_bias[known] / np.sqrt(learnt) * first_disparity[known]
+    level = max(_NORMAL * float(np.median(np.abs(pixels))), 0.02)
+    return MatchingBias(level, float(_SPREAD * level / np.sqrt(len(pixels))), True)
 
 
 def _first_disparities(evaluator: Evaluator) -> Array:

@@ -209,6 +209,18 @@ def largest_of(items: list[Parameter]) -> Array:
     return np.array([_LARGEST_LOG if item.logarithmic else _LARGEST_STEPS * item.step for item in items])
 
 
+def at(config: Config, items: list[Parameter], point: Array) -> Config:
+    """Config with the parameters at a point ``(p,)`` of the searched scale."""
+    for item, searched in zip(items, point, strict=True):
+        config = item.write(config, item.value(float(searched)))
+    return config
+
+
+def point_of(config: Config, items: list[Parameter]) -> Array:
+    """Point ``(p,)`` of a config in the searched scale."""
+    return np.array([item.searched(item.read(config)) for item in items])
+
+
 def scaled(config: Config, scale: float) -> Config:
     """Config with another pixel noise, white and drift alike."""
     noise = replace(

@@ -100,7 +100,7 @@ def maximise(
     """
     point, needed = np.maximum(start, lowest), np.ones(len(start), bool)
     for rounds in range(1, ROUNDS + 1):
-        scores, here, curvature = _scores(evaluate, point, steps)
+        scores, here, curvature = differences(evaluate, point, steps)
         free = needed & ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
         candidates = [
             np.maximum(point + np.clip(move, -largest, largest), lowest)
@@ -117,22 +117,30 @@ def maximise(
         _log.info("round %d: log likelihood %.1f, gain %.1f, at %s", rounds, here, gain, np.round(point, 3))
         if gain > 0.0:
             point, here = candidates[choice], values[choice]
-        rests, dropped = gain < tolerance, None
+        rests, index = gain < tolerance, None
         if rests:
             # Towards its lowest value a level's score fades, so the search comes to rest short of it.
-            dropped = _not_needed(evaluate, point, lowest, at_least=here - tolerance)
-        if dropped is not None:
-            index, here = dropped
+            without = without_each(evaluate, point, lowest, here=here)
+            index = int(np.argmin(without)) if (without <= tolerance).any() else None
+        if index is not None:
             point, needed[index], free[index] = point.copy(), False, False
-            point[index] = lowest[index]
+            point[index], here = lowest[index], here - without[index]
         on_round(Round(rounds, point, here, max(gain, 0.0)))
-        if rests and dropped is None:
+        if rests and index is None:
             break
-    sigma = _sigma(scores, curvature, free)
-    return Maximum(point, sigma, here, rounds, scores, _information(scores, curvature))
+    sigma = sigma_of(scores, curvature, free)
+    return Maximum(point, sigma, here, rounds, scores, information_of(scores, curvature))
 
 
-def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
+def spread_at(evaluate: Evaluate, point: Array, steps: Array) -> Array:
+    """Sum ``(p, p)`` of the outer products of scores, by differences to one side: information, roughly."""
+    points = point + np.diag(steps)
+    here, *above = evaluate([point, *points])
+    scores = np.column_stack([(value - here) / step for value, step in zip(above, steps, strict=True)])
+    return _spread(np.nan_to_num(scores, posinf=0.0, neginf=0.0))
+
+
+def differences(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
     """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the likelihood at the point."""
     points = [point]
     for index in range(len(point)):
@@ -150,23 +158,29 @@ def _scores(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, floa
     return scores, float(here.sum()), np.nan_to_num(np.array(bends), posinf=0.0, neginf=0.0)
 
 
-def _not_needed(
-    evaluate: Evaluate, point: Array, lowest: Array, *, at_least: float
-) -> tuple[int, float] | None:
-    """Parameter that does best without, and the likelihood at its lowest value; None if too low."""
+def without_each(evaluate: Evaluate, point: Array, lowest: Array, *, here: float) -> Array:
+    """Log likelihood ``(p,)`` that each level costs at its lowest value; infinite where it is there.
+
+    Parameters
+    ----------
+    evaluate : callable
+    point, lowest : (p,)
+        A lowest value of minus infinity is that of an offset, or of a level that is not asked for.
+    here : float
+        Log likelihood at the point.
+    """
+    lost = np.full(len(point), np.inf)
     above = np.flatnonzero(point > np.where(np.isfinite(lowest), lowest + 1e-9, np.inf))
-    if not len(above):
-        return None
-    candidates = np.tile(point, (len(above), 1))
-    candidates[np.arange(len(above)), above] = lowest[above]
-    values = [float(part.sum()) for part in evaluate(list(candidates))]
-    best = int(np.argmax(values))
-    return (int(above[best]), values[best]) if values[best] >= at_least else None
+    if len(above):
+        candidates = np.tile(point, (len(above), 1))
+        candidates[np.arange(len(above)), above] = lowest[above]
+        lost[above] = [here - float(part.sum()) for part in evaluate(list(candidates))]
+    return lost
 
 
 def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
     """Steps to try: Newton's with more and more damping."""
-    gradient, information = scores.sum(axis=0), _information(scores, curvature)
+    gradient, information = scores.sum(axis=0), information_of(scores, curvature)
     moves = []
     for damping in _DAMPING:
         move = np.zeros(len(gradient))
@@ -179,7 +193,7 @@ def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
 
 def _expected(move: Array, scores: Array, curvature: Array) -> float:
     """Gain of a move by the quadratic of gradient and information."""
-    return float(scores.sum(axis=0) @ move - 0.5 * move @ _information(scores, curvature) @ move)
+    return float(scores.sum(axis=0) @ move - 0.5 * move @ information_of(scores, curvature) @ move)
 
 
 def _spread(scores: Array) -> Array:
@@ -188,17 +202,21 @@ def _spread(scores: Array) -> Array:
     return centred.T @ centred + 1e-12 * np.eye(scores.shape[1])
 
 
-def _information(scores: Array, curvature: Array) -> Array:
-    """Curvatures on the diagonal, correlated as the scores are; the scores' own where it bends upwards."""
+def information_of(scores: Array, curvature: Array) -> Array:
+    """Information ``(p, p)``: curvatures on the diagonal, correlated as the scores are.
+
+    Where the likelihood bends upwards, the curvature is that of the scores.
+    """
     spread = _spread(scores)
     variance = np.diagonal(spread)
     scale = np.sqrt(np.where(curvature > 0.0, curvature, variance) / variance)
     return np.asarray(scale[:, None] * spread * scale)
 
 
-def _sigma(scores: Array, curvature: Array, free: BoolArray) -> Array:
+def sigma_of(scores: Array, curvature: Array, free: BoolArray) -> Array:
+    """Standard deviations ``(p,)`` by the sandwich; infinite for parameters that are not free."""
     sigma = np.full(scores.shape[1], np.inf)
     inside = np.ix_(free, free)
-    inverse = np.linalg.pinv(_information(scores, curvature)[inside])
+    inverse = np.linalg.pinv(information_of(scores, curvature)[inside])
     sigma[free] = np.sqrt(np.diagonal(inverse @ _spread(scores)[inside] @ inverse))
     return sigma

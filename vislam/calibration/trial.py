@@ -1,5 +1,6 @@
 """What a config makes of a recording as a whole: the smoothed filter's held-out tracks, and its path."""
 
+from collections.abc import Sequence as Items
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,8 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.calibration.likelihood import Evaluator
 from vislam.comparison.config import Config
+from vislam.comparison.open import Dataset
+from vislam.core.run import Run
 from vislam.core.sequence import Sequence
 from vislam.evaluation.held_out import HeldOut, HeldOutScore, paired, score
 
@@ -50,9 +53,13 @@ class Trial:
         return shown / claimed if np.isfinite(shown) and np.isfinite(claimed) and claimed > 0.0 else 1.0
 
 
-def trial(config: Config, evaluator: Evaluator) -> Trial:
-    """Run the smoothed filter on the evaluator's sequence."""
-    dataset, run = evaluator.smoothed(config)
+def trials(configs: Items[Config], evaluator: Evaluator) -> list[Trial]:
+    """Run the smoothed filter with each config on the evaluator's sequence."""
+    runs = evaluator.smoothed(configs)
+    return [_trial(config, *found) for config, found in zip(configs, runs, strict=True)]
+
+
+def _trial(config: Config, dataset: Dataset, run: Run) -> Trial:
     if not run.complete or run.smoothed is None:
         return Trial(None, float("nan"), np.full(2, np.nan))
     poses = run.smoothed.world_T_imu
