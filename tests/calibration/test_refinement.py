@@ -10,10 +10,11 @@ from vislam.base.errors import DivergedError
 from vislam.calibration import likelihood
 from vislam.calibration.choices import search as searched
 from vislam.calibration.likelihood import Evaluator, Stretch
-from vislam.calibration.maxima import by_differences, by_scores
+from vislam.calibration.maxima import by_differences
 from vislam.calibration.parameters import parameters, point_of
 from vislam.calibration.refinement import Bounds, refined
 from vislam.calibration.reporter import Reporter
+from vislam.calibration.search import Round
 from vislam.calibration.target import Point, Target
 from vislam.estimators.ekf import EkfEstimator
 
@@ -105,12 +106,12 @@ def test_where_no_step_gains_anything_there_is_no_maximum():
     assert found_by(nowhere, BEST + 3.0 * SIGMA) is None
 
 
-def test_rounds_are_reported_and_end():
-    rounds = []
+def test_rounds_are_reported_and_given_up():
+    rounds, known = [], Known()
     start = BEST + np.array([5.0, 0.0, 0.0])
-    found = found_by(Known(), start, most=3, on_round=rounds.append)
+    assert found_by(known, start, most=3, on_round=rounds.append) is None
     assert [one.number for one in rounds] == [1, 2, 3]
-    assert np.array_equal(rounds[-1].point, found.value)
+    assert np.array_equal(rounds[-1].point, known.asked[-1])
     assert all(one.gain > 0.0 for one in rounds)
 
 
@@ -222,9 +223,24 @@ def test_scores_lead_to_the_maximum_of_differences(density, monkeypatch):
     assert np.abs(np.log(found.maximum.sigma[free] / again.sigma[free])).max() < np.log(2.0)
 
 
-def test_a_whole_that_is_not_found_by_scores_is_none(short, monkeypatch):
+def test_where_scores_do_not_lead_differences_go_on_from(short, monkeypatch):
     monkeypatch.setattr(likelihood, "_SHORTEST", 1)
-    gated = short.gated(config_of(clock=0.02))
-    target = Target(config_of(clock=0.02), only("pixel_sigma_px"), short, all_of(short), gated.halves)
-    monkeypatch.setattr("vislam.calibration.maxima.refined", lambda *_, **__: None)
-    assert by_scores(target, replace(target, stretches=gated.stretches), lambda ended: None) is None
+    begun = []
+
+    def lost(scored, start, *, on_round, **_):
+        on_round(Round(1, start + 0.25, 0.0, 1.0))
+
+    def differences(target, ended):
+        begun.append(target.begin.noise.pixel_sigma_px)
+        raise Reached
+
+    monkeypatch.setattr("vislam.calibration.maxima.refined", lost)
+    monkeypatch.setattr("vislam.calibration.choices.by_differences", differences)
+    reporter = Reporter(lambda line: None, lambda config, where: None)
+    with pytest.raises(Reached):
+        searched(config_of(clock=0.02), only("pixel_sigma_px"), short, reporter)
+    assert begun == [pytest.approx(0.3 * np.exp(0.25))]
+
+
+class Reached(Exception):
+    pass

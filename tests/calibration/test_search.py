@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam.calibration.search import maximise
+from vislam.calibration.search import maximise, without_tails
 
 SAMPLES = 2000
 LOWEST = np.log(1e-3)
@@ -175,3 +175,12 @@ def test_damped_steps_are_looked_at_only_where_newtons_gains_too_little(rng):
     sizes.clear()
     search(counted, [0.4, np.log(200.0)], largest=np.full(2, 50.0), tolerance=1e-3)
     assert 2 in sizes
+
+
+def test_a_frame_that_is_far_off_does_not_correlate_what_is_not(rng):
+    scores = rng.standard_normal((400, 2))
+    scores[7] = 300.0, 200.0
+    assert np.corrcoef(scores.T)[0, 1] > 0.9
+    kept = without_tails(scores)
+    assert abs(np.corrcoef(kept.T)[0, 1]) < 0.2
+    assert np.allclose(kept[0] - kept[1], scores[0] - scores[1])

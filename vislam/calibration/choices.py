@@ -80,9 +80,17 @@ def search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporte
 def _maximum(
     target: Target, gated: Gated, ended: Callable[[Round], None], *, near: Maximum | None
 ) -> Maximum:
+    """Maximum by scores; by differences from where these have led, if they do not lead there."""
+    best = point_of(target.begin, target.chosen)
+
+    def led(found: Round) -> None:
+        nonlocal best
+        best = found.point
+        ended(found)
+
     whole, stretches = (replace(target, stretches=part) for part in (gated.halves, gated.stretches))
-    found = by_scores(whole, stretches, ended, near=near)
-    return by_differences(target, ended) if found is None else found
+    found = by_scores(whole, stretches, led, near=near)
+    return by_differences(replace(target, begin=target.config(best)), ended) if found is None else found
 
 
 def work_of(start: Config, chosen: list[Parameter], evaluator: Evaluator) -> Work:

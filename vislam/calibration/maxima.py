@@ -15,8 +15,8 @@ from vislam.calibration.search import (
     information_of,
     maximise,
     sigma_of,
-    spread_at,
     without_each,
+    without_tails,
 )
 from vislam.calibration.target import Target
 
@@ -62,7 +62,13 @@ def by_scores(
     share = frames / len(whole.evaluator.dataset.sequence)
     free = np.ones(len(start), bool) if near is None else np.isfinite(near.sigma)
     bounds, rounds = Bounds(lowest, largest_of(whole.chosen), free), 0
-    information = spread_at(stretches.evaluate, start, steps) / share if near is None else near.information
+
+    def bends(point: Array) -> tuple[Array, Array, Array]:
+        """Scores, curvature and information of the stretches, the last in proportion to the frames."""
+        scores, _, curvature = differences(stretches.evaluate, point, steps)
+        return scores, curvature, information_of(without_tails(scores), curvature) / share
+
+    information = bends(start)[2] if near is None else near.information
 
     def ended(found: Round) -> None:
         nonlocal rounds
@@ -83,8 +89,8 @@ def by_scores(
                 rounds=rounds,
                 scores=here.scores,
             )
-        scores, _, curvature = differences(stretches.evaluate, here.value, steps)
-        information, free = information_of(scores, curvature) / share, bounds.inside(here)
+        scores, curvature, information = bends(here.value)
+        free = bounds.inside(here)
         sigma = sigma_of(scores, curvature, free) * np.sqrt(share)
         doubtful = np.where(free & (sigma > _CERTAIN), lowest, -np.inf)
         lost = without_each(whole.evaluate, here.value, doubtful, here=here.log_likelihood)

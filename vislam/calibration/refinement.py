@@ -88,7 +88,7 @@ def refined(
     tolerance : float
         Where the quadratic of score and information expects a gain of less, it has converged.
     most : int
-        Rounds after which it ends where it is.
+        Rounds after which it is given up.
     on_round : callable
         Is given each round that has ended.
     """
@@ -106,7 +106,7 @@ def refined(
         information = _updated(information, there.value - here.value, here.gradient - there.gradient)
         here = there
         on_round(Round(rounds, here.value, here.log_likelihood, gain))
-    return here
+    return None
 
 
 def _better(here: Point, move: Array, scored: Callable[[Array], Point]) -> Point | None:

@@ -10,7 +10,7 @@ from vislam.comparison.config import Config
 
 CHOICES = 3
 """How often the gate may choose anew."""
-_ROUNDS, _ROUNDS_BY_SCORES, _CHOICES = 4, 10, 2
+_ROUNDS, _ROUNDS_BY_SCORES, _CHOICES = 4, 8, 2
 """What a search takes as a rule."""
 _SCORED = 1.6
 """Time of a run with its backward pass, over that of a plain run."""
@@ -45,7 +45,7 @@ class Work:
     def by_scores(cls, parameters: int, *, others: int) -> "Work":
         """Of so many parameters, of which some others take two runs a round."""
         each = _SCORED + 2 * others
-        stretches = _STRETCHED * 3 * parameters
+        stretches = _STRETCHED * 4 * parameters
         return cls(_ROUNDS_BY_SCORES * each + stretches + _SHARED, 1 + _CHOICES + _ALONE)
 
     def seconds(self, run: float, *, processes: int) -> float:

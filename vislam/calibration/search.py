@@ -21,6 +21,8 @@ _log = logging.getLogger("vislam.calibration")
 ROUNDS = 12
 """Rounds of a search, at most."""
 _DAMPING = (0.0, 0.3, 3.0)
+_TAIL = 3.0 * 1.4826
+"""Median absolute deviations of a normal distribution that are three standard deviations."""
 _SHARE = 0.5
 """Share of the expected gain from which on a step is taken without a look at others."""
 
@@ -132,14 +134,6 @@ def maximise(
     return Maximum(point, sigma, here, rounds, scores, information_of(scores, curvature))
 
 
-def spread_at(evaluate: Evaluate, point: Array, steps: Array) -> Array:
-    """Sum ``(p, p)`` of the outer products of scores, by differences to one side: information, roughly."""
-    points = point + np.diag(steps)
-    here, *above = evaluate([point, *points])
-    scores = np.column_stack([(value - here) / step for value, step in zip(above, steps, strict=True)])
-    return _spread(np.nan_to_num(scores, posinf=0.0, neginf=0.0))
-
-
 def differences(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
     """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the likelihood at the point."""
     points = [point]
@@ -211,6 +205,16 @@ def information_of(scores: Array, curvature: Array) -> Array:
     variance = np.diagonal(spread)
     scale = np.sqrt(np.where(curvature > 0.0, curvature, variance) / variance)
     return np.asarray(scale[:, None] * spread * scale)
+
+
+def without_tails(scores: Array) -> Array:
+    """Scores ``(T, p)`` that are no farther from their median than three of their usual deviations.
+
+    Correlations of few frames with heavy tails are those of the frame that is farthest off.
+    """
+    away = scores - np.median(scores, axis=0)
+    most = _TAIL * np.median(np.abs(away), axis=0)
+    return np.where(most > 0.0, np.clip(away, -most, most), away)
 
 
 def sigma_of(scores: Array, curvature: Array, free: BoolArray) -> Array:
