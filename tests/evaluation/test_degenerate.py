@@ -21,8 +21,9 @@ from vislam.report.verdict import verdict
 OBSERVATIONS = 1000
 
 
-def tracks(count=OBSERVATIONS):
-    return Tracks(np.zeros(count, np.int64), np.arange(count), np.zeros((count, 3)), np.ones((count, 3)))
+def tracks(count=OBSERVATIONS, frames=400):
+    frame = np.arange(count) * frames // max(count, 1)
+    return Tracks(frame, np.arange(count), np.zeros((count, 3)), np.ones((count, 3)))
 
 
 def record_of(pose, *, scale=1.0, **values):
@@ -30,7 +31,7 @@ def record_of(pose, *, scale=1.0, **values):
     twist = np.zeros((len(pose), 6))
     twist[1:] = se3.log(se3.inverse(pose[:-1]) @ pose[1:]) / 0.1
     twist[:, 3:] *= scale
-    return made_record(of_truth(pose), frames=len(pose), step_twist=twist, given=tracks(), **values)
+    return made_record(of_truth(pose), frames=len(pose), step_twist=twist, given=tracks(frames=len(pose)), **values)
 
 
 def run_of(pose, *, fused=OBSERVATIONS, **values):
@@ -107,6 +108,35 @@ def test_a_jump_that_the_covariance_before_it_allows_is_none():
     assert degeneracies(run_of(jumped), record_of(truth))
     assert degeneracies(run_of(jumped, cov=unsure), record_of(truth)) == ()
     assert degeneracies(run_of(jumped, cov=unsure / 100.0), record_of(truth))
+
+
+def test_a_covariance_holds_until_the_next_one():
+    truth = circle()
+    jumped = truth.copy()
+    jumped[205:, 1, 3] += 100.0
+    unsure = np.full((400, 6, 6), np.nan)
+    unsure[::10] = np.diag([1e-6] * 3 + [900.0] * 3)
+    assert degeneracies(run_of(jumped, cov=unsure), record_of(truth)) == ()
+    assert degeneracies(run_of(jumped, cov=unsure / 100.0), record_of(truth))
+    # One that is told at the frame before is all that holds.
+    unsure[204] = unsure[200] / 100.0
+    assert degeneracies(run_of(jumped, cov=unsure), record_of(truth))
+
+
+@pytest.mark.parametrize("blind", [40, 2])
+def test_the_first_observations_after_a_stretch_without_may_correct_what_it_went(blind):
+    truth = circle()
+    step = float(np.linalg.norm(truth[1, :3, 3] - truth[0, :3, 3]))
+    jumped = truth.copy()
+    jumped[300:, 1, 3] += 30.0 * step
+    run, record = run_of(jumped), record_of(truth)
+    frame = record.given.frame
+    unseen = replace(run, used=run.used & ((frame < 300 - blind) | (frame >= 300)))
+    assert bool(degeneracies(run, record))
+    assert bool(degeneracies(unseen, record)) == (blind == 2)
+    # Who estimates how far off it can be is judged by that.
+    sure = np.tile(1e-6 * np.eye(6), (400, 1, 1))
+    assert degeneracies(replace(run_of(jumped, cov=sure), used=unseen.used), record)
 
 
 def test_a_turn_on_the_spot_is_a_jump_too():

@@ -6,7 +6,7 @@ name can well be closest to a reference.
 
 import numpy as np
 
-from vislam.base.types import Array, IntArray
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.core.record import Record
 from vislam.core.run import Estimate, Run
 from vislam.core.trajectory import Poses
@@ -59,7 +59,11 @@ def _fused(run: Run, record: Record) -> tuple[str, ...]:
 
 
 def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
-    """Steps of an estimate that neither the inertial data nor the run's own covariance allow."""
+    """Steps of an estimate that neither the inertial data nor the run's own covariance allow.
+
+    A step by no more than an estimate could be off is a correction. Where the run has no covariance of the
+    frame before, that is what it estimated last, and what it went since without any observation.
+    """
     consecutive = np.flatnonzero(np.diff(run.frame) == 1)
     if record.step_twist is None or not len(consecutive):
         return ()
@@ -69,10 +73,16 @@ def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
     dt = np.diff(record.stamp, prepend=record.stamp[0])
     turn, way = (np.linalg.norm(part, axis=1) * dt for part in np.split(record.step_twist, 2, axis=1))
     frame = run.frame[consecutive + 1]
-    variance = np.nan_to_num(np.diagonal(poses.covariances[consecutive], axis1=1, axis2=2))
-    sure_turn, sure_way = (_SURE * np.sqrt(part.sum(axis=1)) for part in np.split(variance, 2, axis=1))
-    farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE)) + sure_way
-    widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE)) + sure_turn
+    variance, told = _told(poses.covariances)
+    sure_turn, sure_way = (
+        _SURE * np.sqrt(part.sum(axis=1))[consecutive] for part in np.split(variance, 2, axis=1)
+    )
+    blind_turn, blind_way = (
+        np.where(told, 0.0, part)[consecutive] for part in _blind(run, record, np.stack([turn, way]))
+    )
+    farthest = _LARGEST_JUMP * np.maximum(way[frame], np.percentile(way, _USUAL_PERCENTILE))
+    widest = _LARGEST_JUMP * np.maximum(turn[frame], np.percentile(turn, _USUAL_PERCENTILE))
+    farthest, widest = farthest + sure_way + blind_way, widest + sure_turn + blind_turn
     widest = np.maximum(widest, _SMALLEST_TURN)
     # A velocity of exactly 0 in every step was not measured, and allows no judgement of a distance.
     steps = _beyond("steps", moved, farthest, inertial=way[frame], frame=frame, unit="m") if way.any() else ()
@@ -80,6 +90,27 @@ def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
         *steps,
         *_beyond("turns", turned, widest, inertial=turn[frame], frame=frame, unit="rad"),
     )
+
+
+def _told(covariances: Array) -> tuple[Array, BoolArray]:
+    """Variances ``(T, 6)`` as estimated last at or before each frame, 0 before the first, and whether at it."""
+    variance = np.diagonal(covariances, axis1=1, axis2=2)
+    told = np.isfinite(variance).all(axis=1)
+    last = np.maximum.accumulate(np.where(told, np.arange(len(told)), -1))
+    return np.where(last[:, None] >= 0, variance[last], 0.0), told
+
+
+def _blind(run: Run, record: Record, inertial: Array) -> Array:
+    """Inertial turn and distance ``(2, t)`` since the run has fused an observation last, at each of its frames.
+
+    What the first observation after that corrects can be as much: dead reckoning is off by a share of them.
+    """
+    seen = np.zeros(inertial.shape[1], bool)
+    seen[record.given.frame[run.used]] = True
+    seen[0] = True
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), 0))
+    total = np.cumsum(inertial, axis=1)
+    return np.asarray((total - total[:, last])[:, run.frame])
 
 
 def _beyond(
