@@ -12,7 +12,7 @@ from vislam.core.imu import ImuSeries
 from vislam.estimators.ekf.inertial import InertialMotion
 from vislam.estimators.ekf.layout import NavLayout
 from vislam.estimators.ekf.motion import navigation
-from vislam.geometry import se3
+from vislam.geometry import se3, so3
 from vislam.models.imu import STATES, VELOCITY
 from vislam.models.odometry import POSE
 
@@ -73,11 +73,15 @@ def test_time_without_samples_is_uncertain():
         sequence = replace(dataset.sequence, imu=series).first(4)
         *_, frame = sequence.frames(pixel_sigma(config, dataset))
         steps.append(motion.propagate(start.layout, start.world_T_imu, start.nav, frame))
-        missing = frame.imu.missing
     grown = np.diagonal(steps[1].noise - steps[0].noise)
-    assert missing == pytest.approx(0.08, abs=0.011)
-    assert np.allclose(np.sqrt(grown[:3]), 0.5 * missing, rtol=0.05)
-    assert np.allclose(np.sqrt(grown[6:9]), 5.0 * missing, rtol=0.2)
+    assert frame.imu.missing == pytest.approx(0.08, abs=0.011)
+    # The samples over the gap, less those of the noise, are what a line misses.
+    missed = frame.imu.dt**2 @ frame.imu.missed
+    bridged = np.sum(frame.imu.dt[~frame.imu.known]) * (motion._inertia.noise.gyro_density**2)
+    assert np.allclose(grown[:3], missed[0], rtol=0.05, atol=0.2 * bridged)
+    assert np.allclose(grown[6:9].sum(), 3.0 * missed[1], rtol=0.2)
+    turned = so3.log(steps[0].prev_T_next[:3, :3].T @ steps[1].prev_T_next[:3, :3])
+    assert np.linalg.norm(turned) < 4.0 * np.sqrt(3.0 * (missed[0] + 2.0 * bridged))
 
 
 def gained(config, dataset, **options):

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.base.arrays import immutable
-from vislam.base.types import Array, BoolArray
+from vislam.base.types import Array, BoolArray, IntArray
+from vislam.core.gaps import bridged_densities, held_densities
 from vislam.models.imu import ImuNoise
 from vislam.models.preintegration import Preintegrated, preintegrate
 
 _GAP = 2.5
 """Samples farther apart than so many usual periods have a gap between them."""
-_UNKNOWN = (0.5, 5.0)
-"""Standard deviations of the mean rate [rad/s] and force [m/s^2] of an interval that no samples cover."""
 _SAME = 1e-6
 """A sample nearer to a frame's time than this is that of the frame [s]."""
 
@@ -129,10 +128,39 @@ class ImuSeries:
         place = np.searchsorted(self.stamp, middle) - 1
         between = (place >= 0) & (place < len(self) - 1)
         known = immutable(between & ~self.gaps[np.clip(place, 0, len(self) - 2)])
+        missed = immutable(self._missed(place, known, ends) / np.diff(every)[:, None])
         last = np.searchsorted(every, ends)
         for first, end in zip([0, *last[:-1]], last, strict=True):
-            rows = slice(first, end + 1)
-            yield ImuStep(times[rows], values[rows, :3], values[rows, 3:], known[first:end])
+            rows, inside = slice(first, end + 1), slice(first, end)
+            yield ImuStep(times[rows], values[rows, :3], values[rows, 3:], known[inside], missed[inside])
+
+    def _missed(self, place: IntArray, known: BoolArray, ends: Array) -> Array:
+        """Squared densities ``(m, 2)`` of what straight lines miss of gyro and accelerometer in intervals.
+
+        Those of the worst axis: 0 where the samples are known, else by the length of the gap.
+
+        Parameters
+        ----------
+        place : (m,)
+            Sample before each interval, -1 before the first.
+        known : (m,)
+        ends : (T,)
+            Frames, on the clock of the series [s].
+        """
+        out = np.zeros((len(place), 2))
+        gap, which = np.unique(place[~known], return_inverse=True)
+        if not len(gap):
+            return out
+        before, after = gap < 0, gap >= len(self) - 1
+        inner = np.clip(gap, 0, len(self) - 2)
+        length = self.stamp[inner + 1] - self.stamp[inner]
+        length[before], length[after] = self.stamp[0] - ends[0], ends[-1] - self.stamp[-1]
+        samples = np.hstack([self.gyro, self.accel])
+        density = bridged_densities(self.stamp, samples, length)
+        held = before | after
+        density[held] = held_densities(self.stamp, samples, length[held])
+        out[~known] = density.reshape(-1, 2, 3).max(axis=2)[which]
+        return out
 
 
 @dataclass(frozen=True)
@@ -149,12 +177,16 @@ class ImuStep:
         [rad/s], [m/s^2].
     known : (m,)
         Which of the intervals lie between samples of the series; the others are in a gap of it or outside.
+    missed : (m, 2)
+        Variance of what the straight line misses of the mean rate and of the mean force over each interval
+        that is not known (:mod:`vislam.core.gaps`), 0 elsewhere [rad^2/s^2], [m^2/s^4].
     """
 
     stamp: Array
     gyro: Array
     accel: Array
     known: BoolArray
+    missed: Array
 
     @classmethod
     def joined(cls, steps: Sequence["ImuStep"]) -> "ImuStep":
@@ -167,8 +199,10 @@ class ImuStep:
             np.concatenate([series[0], *(later[1:] for later in series[1:])])
             for series in zip(*parts, strict=True)
         )
-        known = np.concatenate([step.known for step in steps])
-        return cls(immutable(stamp), immutable(gyro), immutable(accel), immutable(known))
+        known, missed = (
+            np.concatenate([getattr(step, name) for step in steps]) for name in ("known", "missed")
+        )
+        return cls(*(immutable(part) for part in (stamp, gyro, accel, known, missed)))
 
     @property
     def dt(self) -> Array:
@@ -186,10 +220,7 @@ class ImuStep:
         return np.asarray(0.5 * (self.accel[1:] + self.accel[:-1]))
 
     def preintegrated(self, noise: ImuNoise, gyro_bias: Array, accel_bias: Array) -> Preintegrated:
-        """Relative motion over the step, at some biases ``(3,)`` [rad/s], [m/s^2].
-
-        Over an interval that no samples cover, what lines make of it is off by 0.5 rad/s and 5 m/s^2.
-        """
+        """Relative motion over the step, at some biases ``(3,)`` [rad/s], [m/s^2]."""
         return preintegrate(
             self.dt,
             self.mean_gyro,
@@ -197,7 +228,7 @@ class ImuStep:
             gyro_bias=gyro_bias,
             accel_bias=accel_bias,
             noise=noise,
-            unknown=None if self.known.all() else np.where(self.known[:, None], 0.0, np.square(_UNKNOWN)),
+            unknown=None if self.known.all() else self.missed,
         )
 
     @property
