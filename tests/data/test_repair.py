@@ -7,9 +7,11 @@ import pytest
 
 from tests.cli.test_compare import course_file
 from tests.conftest import recorded
+from vislam.base.errors import DataError
 from vislam.comparison.config import DataConfig, HeldOutConfig
 from vislam.comparison.open import Dataset, open_dataset
 from vislam.core.rigid_fit import continuations
+from vislam.core.imu import ImuSeries
 from vislam.core.sequence import Sequence
 from vislam.datasets.course_npz import load_course_npz
 from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
@@ -17,6 +19,7 @@ from vislam.geometry.axes import axes_rotation
 from vislam.models import StereoRig
 from vislam.repair import RepairConfig, apply
 from vislam.repair.consensus import Consensus, step_residuals
+from vislam.repair.inertial import ImuUnits
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import DuplicatedTracks, Interruptions, Thinning, duplicated_observations
@@ -88,6 +91,23 @@ def test_only_proper_turns_are_axes(axes, good):
     else:
         with pytest.raises(ValueError, match="right-handed"):
             axes_rotation(axes)
+
+
+def test_units_of_raw_inertia_are_mended_and_with_them_a_twist_that_is_of_the_gyro(short: Dataset):
+    stamp = np.arange(short.sequence.stamp[0] - 0.1, short.sequence.stamp[-1] + 0.1, 0.01)
+    samples = np.random.default_rng(2).normal(size=(len(stamp), 6))
+    imu = ImuSeries(stamp, np.degrees(samples[:, :3]), samples[:, 3:] / 9.80665)
+    of_gyro = np.hstack([imu.gyro, np.zeros_like(imu.gyro)])
+    given = replace(short.sequence, imu=imu, inertial_stamp=stamp, twist=of_gyro)
+    given = replace(given, vertical_velocity=np.full(len(stamp), np.nan))
+    mended = apply(given, RepairConfig(imu_units=ImuUnits(gyro="deg/s", accel="g")))
+    assert np.allclose(np.hstack([mended.imu.gyro, mended.imu.accel]), samples)
+    assert np.allclose(mended.twist[:, :3], samples[:, :3])
+    other = replace(short.sequence, imu=imu)
+    kept = apply(other, RepairConfig(imu_units=ImuUnits(gyro="deg/s")))
+    assert np.array_equal(kept.twist, short.sequence.twist)
+    with pytest.raises(DataError, match="expected an accelerometer and a gyro"):
+        apply(short.sequence, RepairConfig(imu_units=ImuUnits(accel="g")))
 
 
 def test_step_means_average_the_lines_between_samples():

@@ -10,6 +10,7 @@ import pytest
 
 from tests.conftest import recorded
 from vislam.cli.main import main
+from vislam.cli.raw_inertia import with_raw_inertia, with_repairs
 from vislam.comparison import config as configuration
 from vislam.comparison.open import open_dataset
 from vislam.core.imu import ImuSeries
@@ -17,6 +18,7 @@ from vislam.geometry import se3, so3
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired
 from vislam.inspection.inertia import check_inertia
+from vislam.repair.inertial import ImuUnits
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions
 
@@ -66,7 +68,11 @@ ANSWERS = {
     "permuted axes": lambda found: found.proposal["data.repair.axes"] == {"body": ["y", "z", "x"]},
     "turned axes": lambda found: found.proposal["data.repair.axes"] == {"body": ["x", "-y", "-z"]},
     "late": lambda found: abs(found.proposal["data.repair.clock"]["offset"] - 0.03) < 0.01,
-    "degrees": lambda found: abs(found.measured[0].value * np.pi / 180.0 - 1.0) < 0.03,
+    "degrees": lambda found: (
+        abs(found.measured[0].value * np.pi / 180.0 - 1.0) < 0.03
+        and found.proposal == {"data.repair.imu_units": {"gyro": "deg/s", "accel": "m/s^2"}}
+    ),
+    "g": lambda found: found.proposal == {"data.repair.imu_units": {"gyro": "rad/s", "accel": "g"}},
 }
 
 
@@ -78,9 +84,11 @@ def drive(name, seed, frames):
     return config, Disparity().apply(Interruptions().apply(sequence))
 
 
-def checked(name, *, seed=1, frames=90, plant=lambda one: one, gravity=None):
+def checked(name, *, seed=1, frames=90, plant=lambda one: one, gravity=None, units=None):
     """Findings by their check."""
     config, sequence = drive(name, seed, frames)
+    repair = replace(config.data.repair, imu_units=units)
+    config = replace(config, data=replace(config.data, repair=repair))
     if gravity is not None:
         imu = replace(config.noise.imu, gravity=gravity)
         config = replace(config, noise=replace(config.noise, imu=imu))
@@ -154,6 +162,56 @@ def test_the_written_config_has_the_densities_and_the_motion_of_a_recording_with
     assert result.proposal["noise.imu.gyro_density"] > 5e-5
     assert result.settings["motion"] == "imu"
     assert "third velocity component" not in {finding.check for finding in result.findings}
+
+
+def in_other_units(sequence, *, matrix=None):
+    """A recording without velocity, in g and degrees, its axes turned if that is asked for."""
+    turn = np.eye(3) if matrix is None else matrix
+    imu = sequence.imu
+    gyro = np.degrees(imu.gyro @ turn.T)
+    return replace(
+        sequence,
+        imu=replace(imu, gyro=gyro, accel=imu.accel @ turn.T / 9.80665),
+        inertial_stamp=imu.stamp,
+        twist=np.hstack([gyro, np.zeros_like(gyro)]),
+        vertical_velocity=np.full(len(imu), np.nan),
+        start=None,
+    )
+
+
+@pytest.mark.slow
+def test_a_recording_in_other_units_and_axes_is_sound_once_it_is_repaired_as_proposed():
+    config, sequence = drive("euroc_like", 1, 90)
+    spoilt = in_other_units(sequence, matrix=CYCLE)
+    result = inspect_sequence(spoilt, replace(config, motion="odometry"))
+    assert result.proposal["data.repair.imu_units"] == {"gyro": "deg/s", "accel": "g"}
+    assert result.proposal["data.repair.axes"] == {"body": ["y", "z", "x"]}
+    assert "data.file" not in result.unknown, result.unknown
+    assert {result.finding(f"imu {name}").verdict for name in ("gravity", "noise", "first state")} == {"ok"}
+    tree = {"name": "a", "data": {"file": "a.npz"}}
+    mended = with_repairs(tree, spoilt, result)
+    assert np.allclose(mended.imu.accel, sequence.imu.accel @ CYCLE.T)
+    assert np.allclose(mended.twist[:, :3], mended.imu.gyro)
+    (line,) = with_raw_inertia(tree, mended, None)
+    assert tree["motion"] == "imu", line
+    written = configuration.parse(configuration.Config, tree)
+    again = inspect_sequence(spoilt, written)
+    units, axes = again.finding("imu units"), again.finding("imu axes")
+    assert (units.verdict, axes.verdict) == ("ok", "ok")
+
+
+def test_a_unit_that_is_configured_wrongly_is_found_and_taken_back():
+    wrong = ImuUnits(gyro="deg/s", accel="g")
+    found = checked("euroc_like", plant=wrong.apply, units=wrong)["imu units"]
+    assert found.proposal == {"data.repair.imu_units": None}
+
+
+def test_what_no_magnitude_tells_apart_is_not_decided():
+    found = checked("euroc_like", plant=lambda one: changed(one, accel=one.imu.accel * 100.0))["imu units"]
+    assert found.verdict == "fault"
+    assert "cm/s^2 or mg" in found.text
+    assert not found.proposal
+    assert "data.file" in found.unknown
 
 
 @pytest.mark.slow

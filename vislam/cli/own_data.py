@@ -12,7 +12,7 @@ from vislam.base.errors import DataError
 from vislam.base.files import check_writable, write_text
 from vislam.base.settings import LONGEST_NAME
 from vislam.cli.console import Terminal
-from vislam.cli.raw_inertia import with_raw_inertia
+from vislam.cli.raw_inertia import with_raw_inertia, with_repairs
 from vislam.cli.track import told
 from vislam.comparison import config as configuration
 from vislam.comparison.open import open_dataset
@@ -94,7 +94,8 @@ def config_of(data: Path, *, out: Path, choice: Choice, front_end: str) -> Path:
     if not recorded.velocity:
         tree = _without_velocity(tree, result, dataset.sequence, gyro=recorded.gyro)
         if dataset.sequence.imu is not None:
-            for line in with_raw_inertia(tree, dataset.sequence, recorded.imu_noise):
+            mended = with_repairs(tree, dataset.sequence, result)
+            for line in with_raw_inertia(tree, mended, recorded.imu_noise):
                 terminal.note(line)
         text = configuration.dump(settings.parse(configuration.Config, tree))
     else:

@@ -1,13 +1,15 @@
-"""Raw inertia in the config that is made for a recording: its noise, and whether it tells the first state."""
+"""Raw inertia in the config made for a recording: repairs, noise, and whether it tells the first state."""
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 from vislam.base import settings
 from vislam.comparison.config import ImuNoiseConfig
 from vislam.core.sequence import Sequence
 from vislam.initialisation import NotFoundError, initialise, noise_factor, scaled
+from vislam.inspection.finding import Inspection
 from vislam.models.imu import ImuNoise
+from vislam.repair import RepairConfig
 
 _ESTIMATORS: dict[str, dict[str, Any]] = {
     "stereo_vo": {},
@@ -16,7 +18,39 @@ _ESTIMATORS: dict[str, dict[str, Any]] = {
     "isam2": {},
     "batch": {},
 }
+_REPAIR = "data.repair."
+_CHECKS = "imu "
+"""What the names of the checks of raw inertia begin with."""
 _DENSITIES = ("gyro_density", "accel_density", "gyro_walk", "accel_walk")
+
+
+def with_repairs(tree: dict[str, Any], sequence: Sequence, result: Inspection) -> Sequence:
+    """Set the repairs that raw inertia asks for in a config; return the sequence with them.
+
+    Those are its units, its clock and its axes, as the checks of raw inertia found them faulty. What checks
+    of a velocity have found where none is recorded stays out.
+
+    Parameters
+    ----------
+    tree : dict
+        The config as plain data.
+    sequence : Sequence
+        Unrepaired.
+    result : Inspection
+        Of the same.
+    """
+    found: dict[str, Any] = {}
+    for finding in result.findings:
+        if finding.check.startswith(_CHECKS):
+            found |= {path: value for path, value in finding.proposal.items() if path.startswith(_REPAIR)}
+    for path, value in found.items():
+        settings.put(tree, path, value)
+    asked = settings.parse(RepairConfig, {path.removeprefix(_REPAIR): value for path, value in found.items()})
+    for item in fields(RepairConfig):
+        step = getattr(asked, item.name)
+        if _REPAIR + item.name in found and step is not None:
+            sequence = step.apply(sequence)
+    return sequence
 
 
 def with_raw_inertia(tree: dict[str, Any], sequence: Sequence, stated: ImuNoise | None) -> list[str]:

@@ -220,12 +220,14 @@ def _measured(dataset: Dataset) -> Dataset:
 
 
 def _implausible(sequence: Sequence, config: DataConfig) -> tuple[Implausible, ...]:
-    """What is implausible of a recording as read, with the baseline that the config may give it.
+    """What is implausible of a recording as read, with baseline and units that the config may give it.
 
     The other repairs trust the units: under wrong ones they cut all tracks, and nothing would be left to see.
     """
-    baseline = config.repair.baseline
-    return tuple(implausible(sequence if baseline is None else baseline.apply(sequence)))
+    for step in (config.repair.baseline, config.repair.imu_units):
+        if step is not None:
+            sequence = step.apply(sequence)
+    return tuple(implausible(sequence))
 
 
 def _with_inertial(sequence: Sequence, config: InertialConfig, folders: list[Path]) -> Sequence:

@@ -5,15 +5,12 @@ import numpy as np
 from vislam.initialisation.alignment import Aligned, gyro_slope
 from vislam.initialisation.found import NotFoundError
 from vislam.initialisation.window import Window
-from vislam.models.imu import GRAVITY, ImuNoise
+from vislam.models.imu import FORCE_UNITS, RATE_UNITS, ImuNoise
 
-_UNITS = {"g": 1.0 / GRAVITY, "cm/s^2": 100.0, "mg": 1000.0 / GRAVITY, "mm/s^2": 1000.0}
-"""What 1 m/s^2 is in other units."""
 _NEAR = 1.5
 """A factor is that of a unit up to so much."""
 _POSSIBLE = 2.0
 """A median force is that of gravity up to this factor."""
-_DEGREES = 180.0 / np.pi
 _TURNS = 0.02
 """Spread of the rates, by the tracks or by the gyro, that tells the gyro's unit [rad/s]."""
 _MAGNITUDE, _SURE = 0.1, 5.0
@@ -28,8 +25,11 @@ def check_force(window: Window, noise: ImuNoise) -> None:
     if 1.0 / _POSSIBLE < ratio < _POSSIBLE:
         return
     # The magnitude does not tell cm/s^2 from mg, which differ by 2 %.
-    units = {name: f"{size:.4g}" for name, size in _UNITS.items() if 1.0 / _NEAR < ratio / size < _NEAR}
-    guess = f"it looks like {' or '.join(units)}, divide by {' or '.join(units.values())}"
+    units = {name: f"{size:.4g}" for name, size in FORCE_UNITS.items() if 1.0 / _NEAR < ratio / size < _NEAR}
+    guess = (
+        f"it looks like {' or '.join(units)}, divide by {' or '.join(units.values())}, or set "
+        "data.repair.imu_units.accel"
+    )
     guess = guess if units else "look at its unit"
     raise NotFoundError(
         f"the accelerometer must show gravity, {noise.gravity:.2f} m/s^2, got {median:.3g} (median of its "
@@ -45,9 +45,10 @@ def check_turns(window: Window) -> None:
     own = np.array([step.gyro.mean(axis=0) for step in window.inertia])
     if max(float(rates.std(axis=0).max()), float(own.std(axis=0).max())) < _TURNS:
         return
-    if correlation > 0.5 and 1.0 / _NEAR < slope / _DEGREES < _NEAR:
+    if correlation > 0.5 and 1.0 / _NEAR < slope / RATE_UNITS["deg/s"] < _NEAR:
         raise NotFoundError(
-            f"the gyro must be in rad/s, got {slope:.3g} times the turns of the tracks: it looks like deg/s"
+            f"the gyro must be in rad/s, got {slope:.3g} times the turns of the tracks: it looks like "
+            "deg/s, set data.repair.imu_units.gyro"
         )
     if correlation < 0.5:
         raise NotFoundError(

@@ -16,6 +16,7 @@ from vislam.evaluation.held_out import hold_out
 from vislam.inspection import biases, motion, mounting, observations, pixels, stereo, tracks, units
 from vislam.inspection.finding import Finding, Inspection
 from vislam.inspection.inertia import check_inertia, takes_raw_inertia
+from vislam.inspection.inertia.units import PATH as UNITS_OF_INERTIA
 from vislam.inspection.lever_arm import check_lever_arm
 from vislam.inspection.rates import check_rate_axes
 from vislam.inspection.shared_errors import check_shared_errors
@@ -80,8 +81,9 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
     book = _Book()
     repair = config.data.repair
     raw = raw.select(~hold_out(raw.track, share=config.held_out.share, seed=config.held_out.seed))
-    if repair.baseline is not None:
-        raw = repair.baseline.apply(raw)
+    for step in (repair.baseline, repair.imu_units):
+        if step is not None:
+            raw = step.apply(raw)
     sequence = units.in_plausible_units(raw)
     book.enter(tracks.check_stamps(raw, in_seconds=sequence))
     book.enter(units.check_units(raw, sequence))
@@ -100,11 +102,20 @@ def inspect_sequence(raw: Sequence, config: Config) -> Inspection:
         _check_tracks(plausible, config, book)
     else:
         _check_motion(plausible, config, book)
-    found = _checked_repairs(sequence, config.data, book.found)
+    found = _checked_repairs(sequence, config.data, _of_one_gyro(raw, book.found))
     if few.verdict in ("fault", "unclear"):
         # What all others rest on goes first.
         found = [few, *(item for item in found if item.check != few.check)]
     return Inspection(raw.name, tuple(found), book.series)
+
+
+def _of_one_gyro(raw: Sequence, found: list[Finding]) -> list[Finding]:
+    """Findings in which the repaired unit of a gyro answers for rates of the twist that are its own."""
+    if raw.imu is None or not np.array_equal(raw.twist[:, :3], raw.imu.gyro):
+        return found
+    if not any(UNITS_OF_INERTIA in item.proposal for item in found):
+        return found
+    return [replace(item, unknown={}) if item.check == "units" else item for item in found]
 
 
 def _checked_repairs(sequence: Sequence, data: DataConfig, found: list[Finding]) -> list[Finding]:

@@ -18,6 +18,15 @@ from vislam.base.types import Array
 
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]."""
+RATE_UNITS = {
+    "rad/s": 1.0,
+    "deg/s": 180.0 / np.pi,
+    "mrad/s": 1000.0,
+    "mdeg/s": 180e3 / np.pi,
+    "rpm": 30.0 / np.pi,
+}
+FORCE_UNITS = {"m/s^2": 1.0, "g": 1.0 / GRAVITY, "cm/s^2": 100.0, "mg": 1000.0 / GRAVITY, "mm/s^2": 1000.0}
+"""What 1 rad/s and 1 m/s^2 are in the units that gyros and accelerometers are read in."""
 VELOCITY, GYRO_BIAS, ACCEL_BIAS = "velocity", "gyro_bias", "accel_bias"
 """Names of the states ``(3,)`` beside the pose: in the world [m/s], of the gyro [rad/s] and of the
 accelerometer [m/s^2]."""

@@ -1,6 +1,7 @@
-"""Repairs of the inertial samples: their clock, and the frames that their components refer to."""
+"""Repairs of the inertial samples: units, clock, and the frames that their components refer to."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass as setting
@@ -10,9 +11,34 @@ from vislam.base.errors import DataError
 from vislam.base.fields import STRICT
 from vislam.base.types import Array
 from vislam.core.sequence import Sequence
+from vislam.models.imu import FORCE_UNITS, RATE_UNITS
 
 _STEEPEST = 1.25
 """Pitch beyond which forward is hardly level [rad]."""
+
+
+@setting(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ImuUnits:
+    """Bring raw inertia (accelerometer and gyro) from the units of its file to rad/s and m/s^2."""
+
+    gyro: Literal["rad/s", "deg/s", "mrad/s", "mdeg/s", "rpm"] = "rad/s"
+    """Unit of the angular velocity in the file."""
+    accel: Literal["m/s^2", "g", "mg", "cm/s^2", "mm/s^2"] = "m/s^2"
+    """Unit of the specific force in the file; g is 9.80665 m/s^2."""
+
+    def apply(self, sequence: Sequence) -> Sequence:
+        """Divide by them; where no velocity was recorded, the rates of the twist are the gyro's, too."""
+        imu = sequence.imu
+        if imu is None:
+            raise DataError(
+                f"data.repair.imu_units: expected an accelerometer and a gyro, {sequence.name} has none; "
+                "leave it out"
+            )
+        gyro, twist = imu.gyro / RATE_UNITS[self.gyro], sequence.twist
+        if np.array_equal(twist[:, :3], imu.gyro):
+            twist = np.hstack([gyro, twist[:, 3:]])
+        scaled = replace(imu, gyro=gyro, accel=imu.accel / FORCE_UNITS[self.accel])
+        return replace(sequence, imu=scaled, twist=twist)
 
 
 @setting(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 from vislam.base.fields import STRICT
 from vislam.core.sequence import Repair, Sequence
 from vislam.repair.consensus import Consensus
-from vislam.repair.inertial import Clock, NavigationFrameRates, NavigationFrameVelocity
+from vislam.repair.inertial import Clock, ImuUnits, NavigationFrameRates, NavigationFrameVelocity
 from vislam.repair.mounting import Axes, Baseline, Extrinsic
 from vislam.repair.pixels import Disparity, DisparityOffset
 from vislam.repair.tracks import DuplicatedTracks, Interruptions, SingleObservations, Thinning
@@ -48,6 +48,8 @@ class RepairConfig:
     """Rotate the extrinsic into the body axes of the velocities."""
     baseline: Switched[Baseline] = None
     """Replace the stereo baseline."""
+    imu_units: Switched[ImuUnits] = None
+    """Bring raw inertia to rad/s and m/s^2."""
     clock: Switched[Clock] = None
     """Move the inertial stamps to the camera's clock."""
     navigation_frame_velocity: Switched[NavigationFrameVelocity] = None

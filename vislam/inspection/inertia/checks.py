@@ -73,7 +73,7 @@ def _against_tracks(
     seen = turns.Turns.of(series, sequence, runs, clock_offset=sequence.clock_offset)
     if len(seen) < _FEWEST_STEPS:
         text = f"only {len(seen)} steps with samples all around them show the camera's motion"
-        unit, _, _ = units.check_units(series, None)
+        unit, _, _ = units.check_units(series, None, config.data.repair.imu_units)
         unknown = {"data.repair.clock": text, "data.repair.axes": text, "data.repair.extrinsic": text}
         told = [Finding(check, "unclear", text, unknown=unknown) for check in _SEEN]
         return [unit, *told, noise.check_noise(sequence, _noise(config))], {}
@@ -97,7 +97,7 @@ def _against_camera(
     """Units, clock, axes, gravity, biases and noise."""
     lag, sigma, cost = turns.lag_of(seen, around=sequence.clock_offset)
     turning = turns.turning(seen.measured(lag), seen.seen)
-    unit, by_rate, by_force = units.check_units(series, turning)
+    unit, by_rate, by_force = units.check_units(series, turning, config.data.repair.imu_units)
     # As configured is what is right, where the turns do not tell it.
     inside = abs(lag - sequence.clock_offset) < _EDGE * LAGS_S[-1]
     explained = turning.correlation > _EXPLAINED and inside
@@ -121,6 +121,7 @@ def _against_camera(
     mended = replace(
         sequence,
         imu=scaled,
+        twist=_twist(sequence, scaled),
         clock_offset=offset,
         rig=replace(sequence.rig, imu_T_cam=_turned(sequence.rig.imu_T_cam, cam_R_imu)),
     )
@@ -130,6 +131,14 @@ def _against_camera(
         mended, replace(_noise(config), gravity=level), alone=without_velocity(sequence)
     )
     return [unit, clock, mounted, gravity, biases, white, first], drawn
+
+
+def _twist(sequence: Sequence, scaled: ImuSeries) -> Array:
+    """Twist ``(S, 6)``, which rigid fits begin with, its rates scaled where they are those of the gyro."""
+    assert sequence.imu is not None
+    if not np.array_equal(sequence.twist[:, :3], sequence.imu.gyro):
+        return sequence.twist
+    return np.hstack([scaled.gyro, sequence.twist[:, 3:]])
 
 
 def _turned(imu_T_cam: Array, cam_R_imu: Array) -> Array:
