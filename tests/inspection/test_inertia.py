@@ -1,7 +1,7 @@
 """Faults of raw inertia, each planted in a simulated drive and found, and none found where there is none."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +17,8 @@ from vislam.core.imu import ImuSeries
 from vislam.geometry import se3, so3
 from vislam.inspection import inspect_sequence
 from vislam.inspection.checks import unrepaired
-from vislam.inspection.inertia import check_inertia
+from vislam.inspection.inertia import check_inertia, noise
+from vislam.models.imu import ImuNoise
 from vislam.repair.inertial import ImuUnits
 from vislam.repair.pixels import Disparity
 from vislam.repair.tracks import Interruptions
@@ -156,8 +157,8 @@ def test_without_a_camera_that_shows_its_motion_nothing_is_told():
 def test_the_written_config_has_the_densities_and_the_motion_of_a_recording_without_velocity():
     config, sequence = drive("euroc_like", 1, 90)
     bare = replace(sequence, twist=np.zeros_like(sequence.twist))
-    noise = replace(config.noise, imu=replace(config.noise.imu, gyro_density=1e-5, accel_density=1e-4))
-    result = inspect_sequence(bare, replace(config, noise=noise, motion="odometry"))
+    quiet = replace(config.noise, imu=replace(config.noise.imu, gyro_density=1e-5, accel_density=1e-4))
+    result = inspect_sequence(bare, replace(config, noise=quiet, motion="odometry"))
     assert result.finding("imu noise").verdict == "fault"
     assert result.proposal["noise.imu.gyro_density"] > 5e-5
     assert result.settings["motion"] == "imu"
@@ -204,6 +205,14 @@ def test_a_unit_that_is_configured_wrongly_is_found_and_taken_back():
     wrong = ImuUnits(gyro="deg/s", accel="g")
     found = checked("euroc_like", plant=wrong.apply, units=wrong)["imu units"]
     assert found.proposal == {"data.repair.imu_units": None}
+
+
+@pytest.mark.parametrize(("factors", "verdict"), [([1.0, 16.0, 32.0], "fault"), ([1.0, 1.0, 32.0], "ok")])
+def test_noise_that_most_parts_refute_is_too_small(factors, verdict, monkeypatch):
+    monkeypatch.setattr(noise, "_factors", lambda *_: factors)
+    config, sequence = drive("euroc_like", 1, 30)
+    stated = ImuNoise(**asdict(config.noise.imu))
+    assert noise.check_noise(sequence, stated).verdict == verdict
 
 
 def test_what_no_magnitude_tells_apart_is_not_decided():

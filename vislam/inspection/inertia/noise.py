@@ -90,7 +90,7 @@ def check_noise(sequence: Sequence, noise: ImuNoise) -> Finding:
         for path in _paths()
         if path not in values
     }
-    off = [name for name, one in found.items() if _off(one, getattr(noise, name))]
+    off = [name for name, one in found.items() if _off(one, getattr(noise, name), _sure(factors))]
     if off:
         text = f"{' and '.join(name.replace('_', ' ') for name in off)} configured otherwise: {text}"
         return Finding(CHECK, "fault", text, tuple(found.values()), proposal=values, unknown=unknown)
@@ -145,9 +145,17 @@ def _how(rest: _Rest | None, factors: list[float], series: ImuSeries) -> str:
     return "; ".join(parts)
 
 
-def _off(found: Measured, configured: float) -> bool:
-    """Whether a level is configured outside of its interval, as less than half or more than twice of it."""
-    small = configured < min(found.low, found.value / _FACTOR)
+def _sure(factors: list[float]) -> float:
+    """Share of the level of which half of the parts, or more, say that it is no less."""
+    return sorted(factors)[(len(factors) - 1) // 2] / float(np.median(factors)) if factors else 0.0
+
+
+def _off(found: Measured, configured: float, sure: float) -> bool:
+    """Whether a level is configured outside of its interval, as less than half or more than twice of it.
+
+    One part that says little does not hold a level that most of them refute as too small.
+    """
+    small = configured < min(max(found.low, sure * found.value), found.value / _FACTOR)
     return small or configured > max(found.high, found.value * _FACTOR)
 
 
