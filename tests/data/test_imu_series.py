@@ -109,6 +109,13 @@ def test_frames_have_their_samples_and_a_sequence_without_has_none(short):
     assert [frame.imu.dt.size for frame in replace(plain, imu=imu).first(1).frames(sigma[:0])] == [0]
 
 
+def test_a_part_that_begins_later_has_not_the_state_of_the_first_frame(short):
+    start = ImuPrior(np.eye(4), *np.zeros((3, 3)), np.eye(15))
+    whole = replace(short.sequence, start=start)
+    assert whole.first(3).start is start
+    assert whole.part(1, 4).start is None
+
+
 def test_the_open_track_format_has_raw_inertia(tmp_path):
     stamp = np.arange(-0.02, 0.6, 0.005)
     values = np.random.default_rng(3).normal(size=(len(stamp), 6))

@@ -154,7 +154,10 @@ class Sequence:
         return self.part(0, frames)
 
     def part(self, begin: int, end: int) -> "Sequence":
-        """Return the sequence of the frames from ``begin`` to before ``end`` only, as far as there are."""
+        """Return the sequence of the frames from ``begin`` to before ``end`` only, as far as there are.
+
+        What is known of the state at the first frame goes, unless it is the first of the part, too.
+        """
         end = min(end, len(self))
         rows = slice(int(self.offset[begin]), int(self.offset[end]))
         return replace(
@@ -165,6 +168,7 @@ class Sequence:
             pixels=self.pixels[rows],
             row=self.row[rows],
             keyframe=None if self.keyframe is None else self.keyframe[begin:end],
+            start=self.start if begin == 0 else None,
         )
 
     def with_keyframes(self, every: int) -> "Sequence":
