@@ -145,3 +145,14 @@ def test_blank_images_leave_no_track(folder):
             assert cv2.imwrite(str(path), np.full((200, 320), 90, np.uint8))
     with pytest.raises(DataError, match="no track of 4 observations was found"):
         counts_of(folder)
+
+
+@pytest.mark.parametrize(("vehicle", "sigma"), [("Asctec Firefly MAV", 0.001), ("a trolley", 0.0)])
+def test_a_reference_has_the_accuracy_that_those_who_recorded_it_state(folder, vehicle, sigma):
+    reference = folder / "state_groundtruth_estimate0" / "data.csv"
+    reference.parent.mkdir()
+    reference.write_text("#timestamp, p_RS_R_x [m]\n")
+    (folder / "body.yaml").write_text(f"comment: {vehicle}\n")
+    found = open_images(folder).reference
+    assert found.sigma_m == sigma
+    assert ("Burri" in found.limits) == (sigma > 0.0)

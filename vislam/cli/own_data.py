@@ -153,7 +153,8 @@ def _tracked(
             "file": str(reference.path),
             "format": reference.format,
             "name": reference.path.name,
-            "limits": "as it lay beside the images",
+            "limits": reference.limits,
+            "sigma_m": reference.sigma_m,
         }
     elif reference is not None and len(reference.stamp) > 1:
         tree["data"]["reference"] = {

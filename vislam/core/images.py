@@ -129,10 +129,22 @@ class StampedPoses:
 
 @dataclass(frozen=True)
 class ReferenceFile:
-    """A reference trajectory beside the images, and its format by the name that a config has for it."""
+    """A reference trajectory beside the images, and its format by the name that a config has for it.
+
+    Attributes
+    ----------
+    path : Path
+    format : str
+    sigma_m : float
+        Standard deviation of its positions, where those who recorded it say it [m]; 0 where nobody does.
+    limits : str
+        What a reader of the report must know of it.
+    """
 
     path: Path
     format: str
+    sigma_m: float = 0.0
+    limits: str = "as it lay beside the images"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ _REFERENCES = (
     ("mocap0/data.csv", "euroc"),
     ("../groundtruth.tum", "tum"),
 )
+_EUROC = b"Asctec Firefly MAV"
+"""What ``body.yaml`` of the EuRoC recordings calls the vehicle."""
+_EUROC_M = 0.001
+"""Its positions are millimetre accurate (Burri et al. 2016, abstract), of attitudes nobody says it [m]."""
+_EUROC_LIMITS = "beside the images; positions to 1 mm by its authors (Burri et al. 2016)"
 
 
 def is_asl(folder: Path) -> bool:
@@ -121,4 +126,13 @@ def _noise(folder: Path) -> ImuNoise | None:
 
 def _reference(mav0: Path) -> ReferenceFile | None:
     found = ((mav0 / name, form) for name, form in _REFERENCES)
-    return next((ReferenceFile(path.resolve(), form) for path, form in found if path.is_file()), None)
+    reference = next((ReferenceFile(path.resolve(), form) for path, form in found if path.is_file()), None)
+    if reference is None or not _is_euroc(mav0):
+        return reference
+    return replace(reference, sigma_m=_EUROC_M, limits=_EUROC_LIMITS)
+
+
+def _is_euroc(mav0: Path) -> bool:
+    """Whether a recording says that it is one of EuRoC's."""
+    body = mav0 / "body.yaml"
+    return body.is_file() and any(_EUROC in line for _, line in read_lines(body))
