@@ -31,7 +31,9 @@ def record_of(pose, *, scale=1.0, **values):
     twist = np.zeros((len(pose), 6))
     twist[1:] = se3.log(se3.inverse(pose[:-1]) @ pose[1:]) / 0.1
     twist[:, 3:] *= scale
-    return made_record(of_truth(pose), frames=len(pose), step_twist=twist, given=tracks(frames=len(pose)), **values)
+    return made_record(
+        of_truth(pose), frames=len(pose), step_twist=twist, given=tracks(frames=len(pose)), **values
+    )
 
 
 def run_of(pose, *, fused=OBSERVATIONS, **values):

@@ -93,7 +93,7 @@ def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
 
 
 def _told(covariances: Array) -> tuple[Array, BoolArray]:
-    """Variances ``(T, 6)`` as estimated last at or before each frame, 0 before the first, and whether at it."""
+    """Variances ``(T, 6)`` as estimated last up to each frame, 0 before the first, and whether at it."""
     variance = np.diagonal(covariances, axis1=1, axis2=2)
     told = np.isfinite(variance).all(axis=1)
     last = np.maximum.accumulate(np.where(told, np.arange(len(told)), -1))
@@ -101,7 +101,7 @@ def _told(covariances: Array) -> tuple[Array, BoolArray]:
 
 
 def _blind(run: Run, record: Record, inertial: Array) -> Array:
-    """Inertial turn and distance ``(2, t)`` since the run has fused an observation last, at each of its frames.
+    """Inertial turn and distance ``(2, t)`` since the last fused observation, at each frame of a run.
 
     What the first observation after that corrects can be as much: dead reckoning is off by a share of them.
     """
