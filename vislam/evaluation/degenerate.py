@@ -95,7 +95,7 @@ def _jumps(run: Run, poses: Poses, record: Record) -> tuple[str, ...]:
 def _told(covariances: Array) -> tuple[Array, BoolArray]:
     """Variances ``(T, 6)`` as estimated last up to each frame, 0 before the first, and whether at it."""
     variance = np.diagonal(covariances, axis1=1, axis2=2)
-    told = np.isfinite(variance).all(axis=1)
+    told = np.asarray(np.isfinite(variance).all(axis=1))
     last = np.maximum.accumulate(np.where(told, np.arange(len(told)), -1))
     return np.where(last[:, None] >= 0, variance[last], 0.0), told
 
