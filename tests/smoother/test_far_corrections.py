@@ -108,3 +108,39 @@ def test_starry_night_without_a_tenth_of_its_tracks(kept):
     assert found.log.counts["cholesky_failures"] == found.log.counts["landmarks_rejected"] == 0
     squares, freedom = found.fit
     assert squares < 1.5 * freedom
+
+
+def test_a_lag_that_holds_everything_is_relinearised_as_the_whole_graph_is(gaps, monkeypatch):
+    config, dataset = gaps
+    dataset = replace(dataset, sequence=dataset.sequence.first(45))
+    monkeypatch.setattr(solver, "_TURNED", 1e-7)
+    monkeypatch.setattr(solver, "_MOVED", 1e-7)
+    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
+    whole, lag = (
+        run(find(name)(problem, options), dataset.sequence, sigma, name=name)
+        for name, options in (("isam2", FULLY), ("fixed_lag", {"lag_s": 1000.0}))
+    )
+    assert lag.log.counts["steps_relinearised_whole"] > 20
+    assert apart(whole, lag) < 1e-5
+    assert np.array_equal(whole.used, lag.used)
+
+
+@pytest.mark.slow
+def test_a_lag_is_not_carried_off_by_landmarks_that_outlive_it():
+    """Kept where they were first linearised, those a metre away were behind the camera after 230 frames."""
+    folder = recorded("clement2015/dataset3.mat").parents[1]
+    config = load(CONFIGS / "battle" / "starry_night.yaml")
+    dataset = open_dataset(config.data, seed=0, data_dir=folder, held_out=replace(config.held_out, share=0.1))
+    dataset = replace(dataset, sequence=dataset.sequence.first(450), held_out=None)
+    problem, sigma = make_problem(config, dataset), pixel_sigma(config, dataset)
+    gating = run(find("ekf_invariant")(problem, {}), dataset.sequence, sigma, name="ekf_invariant")
+    held, found = (
+        run(
+            find("fixed_lag")(problem, options), dataset.sequence, sigma, name="fixed_lag", usable=gating.used
+        )
+        for options in ({"relinearize_beyond": None}, {})
+    )
+    assert held.log.counts["landmarks_rejected"] > 5
+    assert found.log.counts["landmarks_rejected"] == found.log.counts["cholesky_failures"] == 0
+    step = np.linalg.norm(np.diff(found.filtered.world_T_imu[:, :3, 3], axis=0), axis=1)
+    assert step.max() < 0.5

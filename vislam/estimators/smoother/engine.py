@@ -73,14 +73,6 @@ class Engine(Protocol):
         """
         ...
 
-    def relinearise(self) -> None:
-        """Relinearise once what is not resting, nor held by a marginal."""
-        ...
-
-    def converge(self) -> None:
-        """Relinearise everything once that is not held by a marginal."""
-        ...
-
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors, by slot; empty where one was taken out."""
         ...
@@ -361,10 +353,9 @@ class FixedLag(_Read):
     """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised.
 
     A marginal is a quadratic at the linearisation point at which its factors were eliminated, and cannot be
-    relinearised. Variables that it ties keep that point as long as they are held, in all their other factors,
-    too: the first-estimates rule, without which the two would have different unobservable directions and the
-    window would gain information along them (Huang, Mourikis and Roumeliotis, IEEE IROS 2011). iSAM2 sees to
-    that (``getFixedVariables``); all others of the window may be relinearised.
+    relinearised. Variables that it ties keep that point as long as this solver holds them, in all their other
+    factors, too (``getFixedVariables``): the first-estimates rule, without which the two would have different
+    unobservable directions (Huang, Mourikis and Roumeliotis, IEEE IROS 2011).
     """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
@@ -394,19 +385,6 @@ class FixedLag(_Read):
         self._given.update(range(held.size(), held.size() + graph.size()))
         _solved(self._solver.update, graph, values, dict(stamps), list(remove))
         return list(self._solver.getISAM2Result().getNewFactorsIndices())
-
-    def relinearise(self) -> None:
-        """Relinearise once what no marginal ties."""
-        everything = gtsam.ISAM2UpdateParams()
-        everything.force_relinearize = True
-        everything.forceFullSolve = True
-        # The smoother's own solver, not a copy: by itself the smoother relinearises by its own count alone.
-        solver = self._solver.getISAM2()
-        _solved(solver.update, gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
-
-    def converge(self) -> None:
-        """Relinearise likewise: all that is held is recent."""
-        self.relinearise()
 
     def _joint_solver(self, *keys: int) -> Any:
         del keys

@@ -18,11 +18,12 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "isam2_between": {"motion": "between"},
     "isam2_norelin": {"relinearize_every": 0, "relinearize_beyond": None, "final": "as_is"},
     # What leaves the lag is read for the last time, so it is solved to the end: a change that is left alone
-    # as small would stay. It is relinearised where a linearisation is off; what a marginal ties keeps its.
+    # as small would stay. It is relinearised where one step corrects much of the trajectory, and no more
+    # often: beside a marginal, what is wrong in view is believed the more, the better it is linearised.
     "fixed_lag": {
         "lag_s": 3.0,
         "relinearize_every": 0,
-        "relinearize_beyond": None,
+        "relinearize_beyond": "far",
         "wildfire_threshold": 0.0,
     },
     "batch": {"final": "batch", "final_iterations": 10},

@@ -279,7 +279,7 @@ class SmootherEstimator:
                     self._events.append(_stopped("relinearised", budget, budget.spent))
                     break
                 try:
-                    self._solver.engine.converge()
+                    self._solver.converge()
                     values = self._solver.engine.estimate()
                 except IndeterminateError:
                     self._counts["final_iterations_undone"] += 1

@@ -19,9 +19,9 @@ class SmootherOptions:
     """Marginalise what was last observed longer ago than this [s]; null: keep all in the graph."""
     relinearize_every: Annotated[int, Field(ge=0)] = 5
     """Frames between two relinearisations of what was observed last; 0: none, not after the last frame."""
-    relinearize_beyond: Positive | None = 1.0
+    relinearize_beyond: Positive | Literal["far"] | None = 1.0
     """Relinearise at once where the linearisation of a newest observation neglects more than this many of its
-    standard deviations, or one step corrects much of the trajectory; null: never."""
+    standard deviations, or one step corrects much of the trajectory; ``far``: only there; null: never."""
     window: Annotated[int, Field(ge=1)] = 5
     """Frames after its last observation for which a variable may be relinearised, until the last frame."""
     pose_threshold_rad: Positive = 0.003

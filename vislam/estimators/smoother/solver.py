@@ -10,7 +10,7 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.engine import Engine, IndeterminateError
+from vislam.estimators.smoother.engine import Engine, IndeterminateError, WholeGraph
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.linearity import neglected
@@ -211,10 +211,10 @@ class Solver:
             moved = se3.local(before, pose) / limit
             if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])) > 1.0:
                 found = "whole"
-                self.engine.converge()
-            elif self._neglects(seen, points, pose, before) > beyond:
+                self._relinearise(frame, whole=True)
+            elif beyond != "far" and self._neglects(seen, points, pose, before) > beyond:
                 found = found or "recent"
-                self.engine.relinearise()
+                self._relinearise(frame, whole=False)
             else:
                 break
             before = pose
@@ -222,6 +222,30 @@ class Solver:
                 track.linearised = point
             self._read(frame)
         return found
+
+    def converge(self) -> None:
+        """Relinearise the whole graph once and solve it; what is asked of a lag is :meth:`settle`."""
+        assert isinstance(self.engine, WholeGraph)
+        self.engine.converge()
+
+    def _relinearise(self, frame: Frame, *, whole: bool) -> None:
+        """Relinearise the whole graph or its recent part; of a lag, everything that it holds.
+
+        A lag is built anew at its estimate, its marginals taken over as quadratics with the point that they
+        are of. Were what they tie held where it was first linearised, a landmark that stays in view for
+        longer than the lag would be, whatever its estimate has become: next to landmarks a metre or two away,
+        each relinearisation of the others would then ask for a larger correction than the one before it.
+        """
+        if isinstance(self.engine, WholeGraph):
+            (self.engine.converge if whole else self.engine.relinearise)()
+            return
+        before = self.engine
+        try:
+            self.rebuild(frame, before.factors(), before.estimate(), {})
+        except IndeterminateError:
+            # Tracks know where their factors are in that one.
+            self.engine = before
+            raise
 
     def _neglects(self, seen: Sequence[Track], points: Array, pose: Array, linearised: Array) -> float:
         """Most that the linearisation of a newest observation neglects, in standard deviations.
