@@ -12,7 +12,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from vislam.base.types import Array
+from vislam.base.types import Array, IntArray
 from vislam.core.estimator import Inertia, Problem
 from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
@@ -35,7 +35,7 @@ class Between:
     Attributes
     ----------
     frames : list of Frame
-        All, as they came.
+        All, as they came; none without raw inertia, by which alone there are frames between keyframes.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -53,6 +53,9 @@ class Between:
 
     def keyframe(self, frame: Frame) -> Frame:
         """The frame as the graph has it: by its number among keyframes, with the step since the last one."""
+        if self._inertia is None:
+            # All frames are keyframes, and a lag need not hold them.
+            return frame
         self.frames.append(frame)
         since = self._place[-1] + 1 if self._place else 0
         self._place.append(len(self.frames) - 1)
@@ -126,6 +129,10 @@ class Between:
             found.insert(V(k), state.velocity)
             found.insert(B(k), gtsam.imuBias.ConstantBias(state.accel_bias, state.gyro_bias))
         return Drive(drive.rig, drive.motion, drive.stereo, self.frames, tracks), found
+
+    def places(self, frames: IntArray) -> IntArray:
+        """Numbers among all frames of frames of the graph."""
+        return np.array(self._place, dtype=np.int64)[frames] if self.any else frames
 
     def renumbered(self, tracks: Sequence[Track]) -> list[Track]:
         """Tracks whose observations have the numbers of their frames among all."""

@@ -1,7 +1,9 @@
 """The incremental solvers of GTSAM behind one interface: the whole graph, or a window of fixed lag."""
 
 import re
+from array import array
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any, Protocol
 
 import gtsam
@@ -363,8 +365,10 @@ class FixedLag(_Read):
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
         self._solver = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
-        # Slots of the factors that were given to it; its marginals are in others.
-        self._given: set[int] = set()
+        # Factors that are given to it have slots on end, and with each update marginals come behind them.
+        self._marginals, self._end = array("q"), 0
+        # Of an update that failed the factors are the last ones, and their slots are not known.
+        self._unplaced = 0
 
     def update(
         self,
@@ -379,12 +383,19 @@ class FixedLag(_Read):
     ) -> list[int]:
         """Take a frame."""
         del newest, in_view, resting
-        held = self._solver.getFactors()
-        # The slot of a factor that has gone into a marginal is empty.
-        remove = [slot for slot in remove if held.exists(slot)]
-        self._given.update(range(held.size(), held.size() + graph.size()))
+        if remove:
+            # The slot of a factor that has gone into a marginal is empty. To read the factors is to copy all
+            # slots, of which there are the more the longer the sequence is.
+            held = self._solver.getFactors()
+            remove = [slot for slot in remove if held.exists(slot)]
+        self._unplaced = graph.size()
         _solved(self._solver.update, graph, values, dict(stamps), list(remove))
-        return list(self._solver.getISAM2Result().getNewFactorsIndices())
+        slots = list(self._solver.getISAM2Result().getNewFactorsIndices())
+        self._unplaced = 0
+        if slots:
+            self._marginals.extend(range(self._end, slots[0]))
+            self._end = slots[-1] + 1
+        return slots
 
     def _joint_solver(self, *keys: int) -> Any:
         del keys
@@ -394,10 +405,10 @@ class FixedLag(_Read):
         """All factors, by slot; marginals with where they are linearised, which this solver alone holds."""
         found = gtsam.NonlinearFactorGraph(self._solver.getFactors())
         point = self._solver.getLinearizationPoint()
-        for slot in set(range(found.size())) - self._given:
-            if found.exists(slot):
-                marginal: Any = found.at(slot)
-                found.replace(slot, gtsam.LinearContainerFactor(marginal.factor(), point))
+        newest = range(self._end, found.size() - self._unplaced)
+        for slot in filter(found.exists, chain(self._marginals, newest)):
+            marginal: Any = found.at(slot)
+            found.replace(slot, gtsam.LinearContainerFactor(marginal.factor(), point))
         return found
 
     def estimate(self) -> gtsam.Values:

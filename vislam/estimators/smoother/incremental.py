@@ -8,7 +8,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from vislam.base.types import Array
+from vislam.base.types import Array, IntArray
 from vislam.core.estimator import Problem, shared_information
 from vislam.core.frame import Frame
 from vislam.core.lagged import LagReader
@@ -25,6 +25,7 @@ from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.restart import restarted
 from vislam.estimators.smoother.solver import Solver, shared_keys
+from vislam.estimators.smoother.tracks import Track
 from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.models.inertial_gap import InertialState
 from vislam.models.kernel import kernel_name
@@ -100,6 +101,9 @@ class SmootherEstimator:
         for factor in self._motion.factors(frame, self._frames[-1] if self._frames else None):
             graph.add(factor)
         solver = self._solver
+        if self._options.lag_s is not None:
+            # Nothing but the step to the next frame is computed from a frame again.
+            self._frames.clear()
         self._frames.append(frame)
         solver.predict(frame)
         predicted = solver.poses[-1]
@@ -164,13 +168,13 @@ class SmootherEstimator:
         """Return all poses and landmarks, after what the options ask for in the end."""
         options, solver = self._options, self._solver
         lagged = {} if self._lags is None else self._lags.finish(self._read)
-        tracks = solver.tracks.landmarks
+        tracks, past = solver.tracks.landmarks, solver.tracks.past.landmarks
         pose_cov = points_cov = fit = None
         if options.lag_s is not None:
             origin = solver.origin() if self._frames else _NOWHERE
             poses = self._lagged_poses()
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
-            points = self._world.points(origin, points)
+            points = self._world.points(origin, np.concatenate([past[1], points]))
         else:
             drive = Drive(self._problem.rig, self._motion, self._stereo, self._frames, tracks)
             values = self._finish(drive)
@@ -189,10 +193,10 @@ class SmootherEstimator:
                 pose_cov, points_cov = self._covariances(drive, values, points)
         if options.lag_s is not None:
             tracks = self._between.renumbered(tracks)
-        fused = [*tracks, *self._between.renumbered(solver.tracks.former)]
+        ids = np.array([track.id for track in tracks], dtype=np.int64)
         return Final(
             trajectory=Poses(poses.reshape(-1, 4, 4), pose_cov),
-            map=Landmarks(np.array([track.id for track in tracks], dtype=np.int64), points, points_cov),
+            map=Landmarks(np.concatenate([past[0], ids]), points, points_cov),
             counts={
                 "landmarks_too_weak": solver.tracks.too_weak + len(solver.tracks.waiting),
                 "landmarks_rejected": solver.tracks.rejected,
@@ -203,10 +207,7 @@ class SmootherEstimator:
                 "cholesky_failures": self._recovery.refusals,
             },
             up=self._world.up(origin),
-            fused=(
-                np.array([view.k for track in fused for view in track.views], dtype=np.int64),
-                np.array([track.id for track in fused for _ in track.views], dtype=np.int64),
-            ),
+            fused=self._observations(tracks),
             events=tuple(self._recovery.events + self._events),
             fit=fit,
             lagged=lagged,
@@ -219,9 +220,16 @@ class SmootherEstimator:
             return np.array([*solver.left, *(solver.reported(k) for k in solver.held())])
         known = [
             *self._left,
-            *(between.state(solver.engine, k) for k in range(len(self._left), len(self._frames))),
+            *(between.state(solver.engine, k) for k in range(len(self._left), len(solver.poses))),
         ]
         return np.array([state.pose for state in between.filled(known)])
+
+    def _observations(self, tracks: Collection[Track]) -> tuple[IntArray, IntArray]:
+        """Frames and track ids ``(n,)`` of all observations that are fused."""
+        frames, ids = self._solver.tracks.past.observations
+        frame = np.array([view.k for track in tracks for view in track.views], dtype=np.int64)
+        track = np.array([track.id for track in tracks for _ in track.views], dtype=np.int64)
+        return np.concatenate([self._between.places(frames), frame]), np.concatenate([ids, track])
 
     def _covariances(self, drive: Drive, values: gtsam.Values, points: Array) -> tuple[Array, Array | None]:
         """Covariances of all poses and, if asked for, landmarks ``(n, 3)``, in the world that is reported."""

@@ -8,6 +8,7 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.keys import landmark
+from vislam.estimators.smoother.past import Past
 from vislam.estimators.smoother.starting import Start, starts
 from vislam.models import CameraErrors, StereoRig
 
@@ -71,8 +72,8 @@ class Tracks:
         By the track's id.
     ended : dict
         Landmarks of the graph that are out of view, by the track's id.
-    former : list of Track
-        Landmarks that a lag has marginalised before their track went on: it waits for another.
+    past : Past
+        Landmarks that a lag has marginalised.
     too_weak, rejected, views_dropped : int
         Tracks that ended before their depth was clear, tracks that were rejected, and views of waiting
         tracks that were let go.
@@ -83,14 +84,14 @@ class Tracks:
         self.waiting: dict[int, Track] = {}
         self.in_view: dict[int, Track] = {}
         self.ended: dict[int, Track] = {}
-        self.former: list[Track] = []
+        self.past = Past()
         self.too_weak = self.rejected = self.views_dropped = 0
         self._aside: set[int] = set()
         self._started = self._frames_without = 0
 
     @property
     def landmarks(self) -> list[Track]:
-        """All tracks whose landmarks are in the graph."""
+        """All tracks whose landmarks are in the graph, and some that a lag has marginalised lately."""
         return [*self.ended.values(), *self.in_view.values()]
 
     def take(self, frame: Frame, *, oldest: int = 0) -> list[Track]:
@@ -113,6 +114,9 @@ class Tracks:
             self._bring_back(back, oldest)
         for back in map(self.in_view.pop, stale):
             self._bring_back(back, oldest)
+        for name in self.past.come_back(present):
+            self.waiting[name] = Track(name)
+        self._pass_on(2 * oldest - frame.k)
         seen = []
         for row in np.flatnonzero(frame.stereo.usable).tolist():
             name = here[row]
@@ -132,8 +136,20 @@ class Tracks:
         if track.views[-1].k >= oldest:
             self.in_view[track.id] = track
         else:
-            self.former.append(track)
+            self.past.add(track, replaced=True)
             self.waiting[track.id] = Track(track.id)
+
+    def _pass_on(self, oldest: int) -> None:
+        """Keep of those that ended before a frame what the final estimate needs, the earliest first.
+
+        The frame is a lag before that at which the lag begins: where a step is repeated, what it was to
+        marginalise is still held.
+        """
+        while self.ended:
+            name, track = next(iter(self.ended.items()))
+            if track.views[-1].k >= oldest:
+                break
+            self.past.add(self.ended.pop(name))
 
     def start(
         self,
