@@ -190,5 +190,5 @@ def _maps(panels: list[Axes], shown: Shown, mapped: dict[str, Run]) -> PathColle
         axes.plot(*_path(shown, name).T, color=shown.colour(name), lw=1.0)
         covariances = "" if name in sigma else " (no covariances)"
         part = f"\n{len(rows):,} of {len(points):,} landmarks" if len(rows) < len(points) else ""
-        axes.set_title(literal(f"map of {name}{covariances}{part}"), fontsize=SMALL)
+        axes.set_title(literal(f"map of {name}{covariances}") + part, fontsize=SMALL)
     return coloured
