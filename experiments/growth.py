@@ -102,13 +102,13 @@ def growth(drives: Mapping[str, Sequence[int]], *, window: int, warm: int, track
 
 def grown(estimator: str, frames: int, window: int, warm: int, tracks: float = TRACKS) -> Growth:
     """Simulate a drive and run an estimator over it, in this process."""
-    drive = Drive.open(_config(frames, tracks))
+    drive = Drive.open(drive_config(frames, tracks))
     before, peak = PeakMemory(), PeakMemory()
 
     def watch(k: int) -> None:
         if k == 0:
             # By now there is all that does not grow.
-            _give_back()
+            give_back()
             with before:
                 pass
             peak.__enter__()
@@ -135,14 +135,14 @@ def _filtered(drive: Drive, watch: Callable[[int], None]) -> Array:
     return np.array(times)
 
 
-def _give_back() -> None:
+def give_back() -> None:
     """Return freed memory to the system, where the C library can, so that none is taken from it unseen."""
     gc.collect()
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _config(frames: int, tracks: float) -> Config:
+def drive_config(frames: int, tracks: float) -> Config:
     """Config of a drive through a town, with the noise that the estimators assume."""
     simulation = replace(_SIMULATION, frames=frames, tracks_in_view=tracks)
     root = np.sqrt(simulation.period)

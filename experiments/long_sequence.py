@@ -70,8 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for part in parts(estimator, drive, every=options.every):
         print(part.row, flush=True)
     before = time.thread_time()
-    estimator.finalize()
+    final = estimator.finalize()
     print(f"\nend: {time.thread_time() - before:.1f} s; {resident() / 1e6:.0f} MB with drive and libraries")
+    for name, count in final.counts.items():
+        if count:
+            print(f"{name}: {count}")
     return 0
 
 
