@@ -75,9 +75,14 @@ def armse(run: Run, reference: Reference, imu_T_cam: Array, *, estimate: Estimat
     assert reference.pose is not None
     _, own, other = np.intersect1d(run.frame, reference.frame, return_indices=True)
     pose, target = (one @ imu_T_cam for one in (run.poses(estimate).world_T_imu[own], reference.pose[other]))
-    target = pose[0] @ se3.inverse(target[0]) @ target
-    turned = se3.log(se3.inverse(pose) @ target)[:, :3]
-    moved = pose[:, :3, 3] - target[:, :3, 3]
+    return armse_of(pose, target)
+
+
+def armse_of(world_T_cam: Array, target_T_cam: Array) -> tuple[float, float]:
+    """ARMSE of positions [m] and of rotations [rad] of poses ``(T, 4, 4)``, from the same first pose on."""
+    target = world_T_cam[0] @ se3.inverse(target_T_cam[0]) @ target_T_cam
+    turned = se3.log(se3.inverse(world_T_cam) @ target)[:, :3]
+    moved = world_T_cam[:, :3, 3] - target[:, :3, 3]
     position, rotation = (float(np.mean(np.sqrt(np.mean(e**2, axis=1)))) for e in (moved, turned))
     return position, rotation
 
