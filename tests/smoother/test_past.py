@@ -5,22 +5,17 @@ import numpy as np
 from tests.smoother.drives import BUILD, drive, member
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators.smoother.past import Past
-from vislam.estimators.smoother.tracks import Track, Tracks, View
-
-
-def track(name, frames, point):
-    views = [View(k, np.zeros(3), np.ones(3)) for k in frames]
-    return Track(name, views, point=np.array(point, float))
+from vislam.estimators.smoother.tracks import Tracks
 
 
 def test_the_past_has_all_landmarks_and_observations_and_a_track_only_once():
     past = Past()
-    past.add(track(7, [0, 1], [1, 2, 3]))
-    past.add(track(4, [1], [4, 5, 6]), replaced=True)
-    past.add(track(9, [2, 5], [7, 8, 9]))
+    past.add(7, [0, 1], np.array([1, 2, 3]))
+    past.add(4, [1], np.array([4, 5, 6]), replaced=True)
+    past.add(9, [2, 5], np.array([7, 8, 9]))
     assert past.come_back({1, 7}) == [7]
     assert past.come_back({1, 7}) == []
-    past.add(track(7, [8], [0, 0, 1]))
+    past.add(7, [8], np.array([0, 0, 1]))
     ids, points = past.landmarks
     assert ids.tolist() == [9, 7]
     assert points.tolist() == [[7, 8, 9], [0, 0, 1]]

@@ -1,24 +1,11 @@
 """Landmarks that a lag has marginalised: of each what the final estimate needs, in a few bytes."""
 
 from array import array
-from collections.abc import Collection
-from typing import Protocol
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from vislam.base.types import Array, IntArray
-
-
-class _View(Protocol):
-    k: int
-
-
-class _Track(Protocol):
-    id: int
-    point: Array
-
-    @property
-    def views(self) -> Collection[_View]: ...
 
 
 class Past:
@@ -33,14 +20,25 @@ class Past:
         # Of the map: those whose track has not gone on to another landmark.
         self._place: dict[int, int] = {}
 
-    def add(self, track: _Track, *, replaced: bool = False) -> None:
-        """Keep a landmark; where another one takes its place, it is not of the map any more."""
+    def add(self, track: int, frames: Sequence[int], point: Array, *, replaced: bool = False) -> None:
+        """Keep a landmark; where another one takes its place, it is not of the map any more.
+
+        Parameters
+        ----------
+        track : int
+            Its track's id.
+        frames : sequence of int
+            In which it was observed.
+        point : (3,)
+            [m].
+        replaced : bool
+        """
         if not replaced:
-            self._place[track.id] = len(self._id)
-        self._id.append(track.id)
-        self._views.append(len(track.views))
-        self._frame.extend(view.k for view in track.views)
-        self._point.extend(track.point)
+            self._place[track] = len(self._id)
+        self._id.append(track)
+        self._views.append(len(frames))
+        self._frame.extend(frames)
+        self._point.extend(point.tolist())
 
     def come_back(self, present: Collection[int]) -> list[int]:
         """Landmarks of tracks that are seen again, which leave the map: each waits for another one."""

@@ -53,6 +53,11 @@ class Track:
     point: Array = field(default_factory=lambda: np.zeros(3))
     linearised: Array = field(default_factory=lambda: np.zeros(3))
 
+    @property
+    def frames(self) -> list[int]:
+        """Frames of its views."""
+        return [view.k for view in self.views]
+
 
 class Tracks:
     """All tracks of a drive, each in one of four places.
@@ -136,7 +141,7 @@ class Tracks:
         if track.views[-1].k >= oldest:
             self.in_view[track.id] = track
         else:
-            self.past.add(track, replaced=True)
+            self.past.add(track.id, track.frames, track.point, replaced=True)
             self.waiting[track.id] = Track(track.id)
 
     def _pass_on(self, oldest: int) -> None:
@@ -149,7 +154,8 @@ class Tracks:
             name, track = next(iter(self.ended.items()))
             if track.views[-1].k >= oldest:
                 break
-            self.past.add(self.ended.pop(name))
+            self.past.add(name, track.frames, track.point)
+            del self.ended[name]
 
     def start(
         self,
