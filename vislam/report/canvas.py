@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogLocator
 
-from vislam.base.types import Array
+from vislam.base.types import Array, IntArray
 from vislam.report.decimation import at_most, evenly, extremes
 from vislam.report.margins import Margins
 
@@ -92,7 +92,7 @@ def band(axes: Axes, x: Array, low: Array, high: Array, **how: Any) -> None:
     axes.fill_between(x[first], low, high, lw=0, **how)
 
 
-def area(axes: Axes, x: Array, y: Array, **how: Any) -> None:
+def area(axes: Axes, x: Array, y: Array | IntArray, **how: Any) -> None:
     """Fill what lies below a line, ``(n,)`` each, through its extremes where there are many points."""
     rows = extremes(x, y, _COLUMNS)
     axes.fill_between(x[rows], y[rows], lw=0, **how)

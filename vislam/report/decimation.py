@@ -12,7 +12,7 @@ def evenly(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 
 
-def extremes(x: Array, y: Array, columns: int) -> IntArray:
+def extremes(x: Array, y: Array | IntArray, columns: int) -> IntArray:
     """Rows of a line over x that look like all of them: of each column the first, least, largest and last.
 
     Drawn into as many columns the line is the same, and no peak is lost (M4; Jugel, Jerzak, Hackenbroich and

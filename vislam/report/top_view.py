@@ -69,7 +69,7 @@ def error_paths(shown: Shown) -> Figure | None:
         if len(path) > _MOST_ERRORS:
             row = one_a_cell(path, float((high - low).max()) / _PLACES, rank=size)
             path, size = path[row], size[row]
-        drawn = axes.scatter(*path.T, s=10, lw=0, c=size, cmap=_ERROR_MAP, norm=norm)
+        drawn = axes.scatter(path[:, 0], path[:, 1], s=10, lw=0, c=size, cmap=_ERROR_MAP, norm=norm)
         drawn.set_rasterized(True)
         axes.set_title(literal(f"{name}\nto {size.max():.3g} m"), fontsize=SMALL)
     grid.finish()
