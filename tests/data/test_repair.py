@@ -10,8 +10,8 @@ from tests.conftest import recorded
 from vislam.base.errors import DataError
 from vislam.comparison.config import DataConfig, HeldOutConfig
 from vislam.comparison.open import Dataset, open_dataset
-from vislam.core.rigid_fit import continuations
 from vislam.core.imu import ImuSeries
+from vislam.core.rigid_fit import continuations
 from vislam.core.sequence import Sequence
 from vislam.datasets.course_npz import load_course_npz
 from vislam.evaluation.held_out import FEWEST_VIEWS, hold_out
