@@ -54,3 +54,19 @@ def test_labels_carry_the_unit_once():
     for spec in METRICS.values():
         for label in (spec.label, spec.short_label):
             assert label.count("[") == bool(spec.unit)
+
+
+@pytest.mark.parametrize(
+    ("values", "places"),
+    [
+        ([0.0052, 0.0040], 4),
+        ([0.052, None], 3),
+        ([0.52, 0.004], 2),
+        ([12.0, float("nan")], 2),
+        ([0.0], 2),
+        ([], 2),
+    ],
+)
+def test_lengths_are_shown_to_two_digits_that_count(values, places):
+    assert METRICS["ate_rmse"].places(values) == places
+    assert METRICS["held_out_median"].places(values) == METRICS["held_out_median"].digits

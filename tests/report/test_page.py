@@ -10,6 +10,7 @@ import pytest
 
 from tests.records import altered
 from vislam.evaluation import evaluate
+from vislam.evaluation.metric import METRICS
 from vislam.report import time_figures
 from vislam.report.colours import COLOURS, colours
 from vislam.report.figures import all_figures, figure_names
@@ -130,8 +131,11 @@ def test_the_table_has_a_row_for_each_estimator(tiny, text):
     body = text[text.index('<table class="numbers sortable"') :]
     body = body[: body.index("</table>")]
     assert re.findall(r'<th scope="row">([^<]+)</th>', body) == list(tiny.runs)
-    value = tiny.evaluation.value("ekf", "ate_rmse", "filtered")
-    assert f'<th scope="row">ekf</th><td>{value:.2f}</td>' in body
+    values = [tiny.evaluation.value(name, "ate_rmse", "filtered") for name in tiny.runs]
+    places = METRICS["ate_rmse"].places(values)
+    shown = f"{tiny.evaluation.value('ekf', 'ate_rmse', 'filtered'):.{places}f}"
+    assert len(shown.lstrip("0.")) >= 2
+    assert f'<th scope="row">ekf</th><td>{shown}</td>' in body
 
 
 def test_each_metric_of_the_table_has_its_definition_one_click_away(text, elements):

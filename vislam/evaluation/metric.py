@@ -3,6 +3,7 @@
 Whoever shows or judges metrics takes them from here; :mod:`vislam.evaluation.metrics` computes them.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -11,6 +12,9 @@ from vislam.core.run import BESIDE, Beside, Estimate
 
 Better = Literal["less", "one", ""]
 """Which value is better: less; near 1, as of a consistent estimator; or it is no matter of better."""
+
+_LEAST_M = 1e-5
+"""Shorter lengths are those of rounding, and shown as 0 [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,17 @@ class MetricSpec:
     digits: int = 2
     better: Better = ""
     short: str = ""
+
+    def places(self, values: Iterable[float | None]) -> int:
+        """Digits behind the point for values that stand together: of lengths, two that count of the largest.
+
+        A hand-held rig that stays within a room is millimetres off, a car metres.
+        """
+        finite = [abs(value) for value in values if value is not None and math.isfinite(value)]
+        largest = max(finite, default=0.0)
+        if self.unit != "m" or largest < _LEAST_M:
+            return self.digits
+        return max(self.digits, 1 - math.floor(math.log10(largest)))
 
     @property
     def label(self) -> str:

@@ -42,10 +42,11 @@ def _of_block(block: Block, reference: Reference | None) -> str:
     ranked = block.ranked(spec.key, seeing=True)
     if not ranked:
         return "no estimator finished with a sound estimate"
+    digits = spec.places([value for value, _ in ranked])
     if len(ranked) == 1:
         value, name = ranked[0]
-        return f"{name} {value:.{spec.digits}f} m with none to compare it with{_bold(block, [name])}"
-    return _compared(block, ranked, spec.digits)
+        return f"{name} {value:.{digits}f} m with none to compare it with{_bold(block, [name])}"
+    return _compared(block, ranked, digits)
 
 
 def _compared(block: Block, ranked: Sequence[tuple[float, str]], digits: int) -> str:

@@ -50,6 +50,7 @@ def _block(values: Lookup[float], names: list[str], estimate: Estimate) -> list[
     for spec in map(METRICS.__getitem__, _KEYS):
         cells = [values.find(name, spec.key, estimate) for name in names]
         if any(cell is not None for cell in cells):
-            drawn = ("-" if cell is None else f"{cell:.{spec.digits}f}" for cell in cells)
+            places = spec.places(cells)
+            drawn = ("-" if cell is None else f"{cell:.{places}f}" for cell in cells)
             lines.append(f"| {spec.label} | " + " | ".join(drawn) + " |")
     return lines

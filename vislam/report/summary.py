@@ -39,7 +39,10 @@ def _rows(block: Block, key: str, reference: Reference | None) -> list[list[str]
 
 def _shown(block: Block, name: str, key: str) -> str:
     value = block.value(name, key)
-    return "-" if value is None else f"{value:.{METRICS[key].digits}f}"
+    if value is None:
+        return "-"
+    places = METRICS[key].places([block.value(other, key) for other in block.runs])
+    return f"{value:.{places}f}"
 
 
 def _against(block: Block, name: str, standing: Standing | None) -> str:

@@ -87,7 +87,8 @@ def _table(
             continue
         values = [evaluation.value(name, key, estimate) for name in runs]
         if any(value is not None for value in values):
-            told = ["-" if value is None else f"{value:.{spec.digits}f}" for value in values]
+            places = spec.places(values)
+            told = ["-" if value is None else f"{value:.{places}f}" for value in values]
             if marks:
                 told = [
                     f"{text}{mark}"
