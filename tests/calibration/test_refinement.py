@@ -1,4 +1,4 @@
-"""Maxima by the exact score, and what stretches of a recording stand for."""
+"""Maxima by scores of the backward pass, between rounds of differences."""
 
 from dataclasses import replace
 
@@ -7,14 +7,11 @@ import pytest
 
 from tests.calibration.test_calibration import config_of, simulated
 from vislam.base.errors import DivergedError
-from vislam.calibration import likelihood
-from vislam.calibration.choices import search as searched
 from vislam.calibration.likelihood import Evaluator, Stretch
-from vislam.calibration.maxima import by_differences
+from vislam.calibration.maxima import by_differences, moved_maximum, near_maximum
 from vislam.calibration.parameters import parameters, point_of
 from vislam.calibration.refinement import Bounds, refined
-from vislam.calibration.reporter import Reporter
-from vislam.calibration.search import Round
+from vislam.calibration.search import Maximum, Round
 from vislam.calibration.target import Point, Target
 from vislam.estimators.ekf import EkfEstimator
 
@@ -136,7 +133,7 @@ def test_parameters_that_move_a_level_are_told_from_those_that_move_none():
 
 @pytest.fixture(scope="module")
 def short() -> Evaluator:
-    return Evaluator(simulated(4, frames=16, tracks=5.0), config_of(clock=0.02))
+    return Evaluator(simulated(4, frames=12, tracks=4.0), config_of(clock=0.02))
 
 
 def all_of(evaluator: Evaluator) -> np.ndarray:
@@ -146,7 +143,7 @@ def all_of(evaluator: Evaluator) -> np.ndarray:
 def test_the_score_of_a_target_is_the_slope_of_its_likelihood(short):
     chosen = only("pixel_sigma_px", "(lateral)", "clock.offset")
     target = Target(
-        config_of(clock=0.02, pixel_sigma_px=0.35), chosen, short, all_of(short), (Stretch(0, 0, 16),)
+        config_of(clock=0.02, pixel_sigma_px=0.35), chosen, short, all_of(short), (Stretch(0, 12),)
     )
     value = point_of(target.begin, chosen)
     assert target.others(value) == []
@@ -161,37 +158,24 @@ def test_the_score_of_a_target_is_the_slope_of_its_likelihood(short):
 
 def test_what_moves_neither_noise_nor_motion_is_by_differences(short):
     chosen = [item for item in parameters(disparity_offset=True) if "disparity" in item.name]
-    target = Target(config_of(clock=0.02), chosen, short, all_of(short), (Stretch(0, 0, 16),))
+    target = Target(config_of(clock=0.02), chosen, short, all_of(short), (Stretch(0, 12),))
     value = point_of(target.begin, chosen)
     assert target.others(value) == [0]
     above, below = (float(part.sum()) for part in target.evaluate([value + 0.02, value - 0.02]))
     assert target.scored(value).gradient[0] == pytest.approx((above - below) / 0.04)
 
 
-def test_a_stretch_goes_on_from_the_state_before_it(short, monkeypatch):
-    monkeypatch.setattr(likelihood, "_SHORTEST", 1)
+def test_a_half_goes_on_from_the_state_before_it(short):
     config = config_of(clock=0.02)
     gated = short.gated(config)
     assert not gated.run.gated.any()
+    assert [(one.begin, one.end) for one in gated.halves] == [(0, 6), (6, 12)]
     (whole,) = short.log_likelihoods([config], usable=all_of(short))
-    assert [one.counted for one in gated.stretches] == [1, 3, 5, 7, 9, 11, 13, 15]
-    (parts,) = short.log_likelihoods([config], usable=all_of(short), stretches=gated.stretches)
-    assert np.allclose(parts, whole[1::2], rtol=1e-12)
-    assert all(one.begin == 0 and one.state is None for one in gated.stretches)
-    assert [(one.begin, one.end) for one in gated.halves] == [(0, 8), (8, 16)]
+    assert np.allclose(whole, gated.run.innovations.log_likelihood, rtol=1e-12)
     scored, others = short.scored(config, [config], usable=all_of(short), stretches=gated.halves)
     assert np.allclose(scored.log_likelihood, whole, rtol=1e-12)
     assert np.array_equal(others[0], scored.log_likelihood)
-    assert len(scored.scores.levels) == len(scored.scores.inputs) == 16
-
-
-@pytest.mark.parametrize(("frames", "many"), [(479, 0), (480, 8), (1010, 8)])
-def test_stretches_are_a_quarter_of_a_long_recording(frames, many):
-    found = likelihood._stretches_of(frames)
-    assert len(found) == many
-    assert all(one.end - one.counted == max(round(frames / 32), 30) for one in found)
-    assert all(one.counted - one.begin == likelihood.BEFORE for one in found)
-    assert all(one.begin >= 0 and one.end <= frames for one in found)
+    assert len(scored.scores.levels) == len(scored.scores.inputs) == 12
 
 
 def test_a_stretch_that_the_filter_fails_on_has_no_likelihood(short, monkeypatch):
@@ -199,48 +183,52 @@ def test_a_stretch_that_the_filter_fails_on_has_no_likelihood(short, monkeypatch
         raise DivergedError("lost")
 
     monkeypatch.setattr(EkfEstimator, "process", failing)
-    found, _ = short.scored(config_of(), [], usable=all_of(short), stretches=[Stretch(0, 0, 16)])
+    found, _ = short.scored(config_of(), [], usable=all_of(short), stretches=[Stretch(0, 12)])
     assert np.isneginf(found.log_likelihood).all()
     assert not found.scores.levels.any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("density", [0.03, 0.0])
-def test_scores_lead_to_the_maximum_of_differences(density, monkeypatch):
-    planted = np.array([1e-3, 1e-3, 1e-3, 0.02, density, 0.015])
-    dataset = simulated(6, frames=64, tracks=10.0, density=planted)
-    start = config_of(clock=0.01, pixel_sigma_px=0.4, drift_px=0.15)
-    chosen = only("_px", "(lateral)", "(vertical)", "clock.offset")
-    evaluator = Evaluator(dataset, start)
-    monkeypatch.setattr(likelihood, "_SHORTEST", 4)
-    found = searched(start, chosen, evaluator, Reporter(lambda line: None, lambda config, where: None))
-    target = Target(found.config, chosen, evaluator, ~found.run.gated)
-    again = by_differences(target, lambda ended: None)
-    assert np.isfinite(again.sigma[2]) == np.isfinite(found.maximum.sigma[2]) == (density > 0.0)
-    free = np.isfinite(again.sigma)
-    assert np.abs((found.maximum.point - again.point)[free] / again.sigma[free]).max() < 0.5
-    # The intervals are those of stretches, a half of the frames.
-    assert np.abs(np.log(found.maximum.sigma[free] / again.sigma[free])).max() < np.log(2.0)
+class Biased(Target):
+    """A target whose score is off by a constant, as that of points of linearisation that move."""
+
+    off = np.array([0.0, 0.0])
+
+    def scored(self, value):
+        found = super().scored(value)
+        return replace(found, scores=found.scores + self.off / len(found.scores))
 
 
-def test_where_scores_do_not_lead_differences_go_on_from(short, monkeypatch):
-    monkeypatch.setattr(likelihood, "_SHORTEST", 1)
-    begun = []
+def biased(short, off, **noise):
+    kind = type("Off", (Biased,), {"off": np.array(off)})
+    chosen = only("pixel_sigma_px", "drift_px")
+    return kind(config_of(clock=0.02, **noise), chosen, short, all_of(short), (Stretch(0, 12),))
 
+
+def test_what_a_score_lacks_is_found_where_the_search_begins(short):
+    rounds = []
+    target = biased(short, [25.0, -8.0], pixel_sigma_px=0.36, drift_px=0.12)
+    point = near_maximum(target, rounds.append)
+    assert rounds
+    found = by_differences(replace(target, begin=target.config(point)), lambda ended: None)
+    assert np.abs((found.point - point) / found.sigma).max() < 0.6
+    assert found.rounds <= 2
+    # From the maximum of all observations to that of all but some.
+    usable = np.ones(len(target.usable), bool)
+    usable[5::40] = False
+    fewer = replace(target, usable=usable)
+    moved = moved_maximum(found, target, fewer, lambda ended: None)
+    again = by_differences(replace(fewer, begin=fewer.config(found.point)), lambda ended: None)
+    assert moved is not None
+    assert np.abs((moved.point - again.point) / again.sigma).max() < 0.6
+    assert np.array_equal(moved.sigma, found.sigma)
+
+
+def test_where_scores_lead_nowhere_differences_begin_where_these_have_ended(short, monkeypatch):
     def lost(scored, start, *, on_round, **_):
         on_round(Round(1, start + 0.25, 0.0, 1.0))
 
-    def differences(target, ended):
-        begun.append(target.begin.noise.pixel_sigma_px)
-        raise Reached
-
     monkeypatch.setattr("vislam.calibration.maxima.refined", lost)
-    monkeypatch.setattr("vislam.calibration.choices.by_differences", differences)
-    reporter = Reporter(lambda line: None, lambda config, where: None)
-    with pytest.raises(Reached):
-        searched(config_of(clock=0.02), only("pixel_sigma_px"), short, reporter)
-    assert begun == [pytest.approx(0.3 * np.exp(0.25))]
-
-
-class Reached(Exception):
-    pass
+    target = biased(short, [0.0, 0.0])
+    assert np.allclose(near_maximum(target, lambda ended: None), point_of(target.begin, target.chosen) + 0.25)
+    near = Maximum(np.zeros(2), np.ones(2), 0.0, 1, np.zeros((12, 2)), np.eye(2))
+    assert moved_maximum(near, target, target, lambda ended: None) is None

@@ -13,10 +13,8 @@ def test_processes_share_what_does_not_wait():
     assert work.seconds(2.0, processes=10**6) < 28.0
 
 
-def test_scores_take_a_fraction_of_the_runs():
-    scores, differences = Work.by_scores(10, others=0), Work.by_differences(10)
-    assert scores.shared + scores.alone < 0.4 * (differences.shared + differences.alone)
-    assert Work.by_scores(10, others=1).shared > scores.shared
+def test_each_parameter_that_scores_do_not_have_adds_runs():
+    assert Work.of(10, others=1).shared > Work.of(10, others=0).shared > Work.of(9, others=0).shared
 
 
 def test_the_time_is_told_first_and_with_each_round_what_is_left(monkeypatch):

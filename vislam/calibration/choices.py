@@ -7,8 +7,8 @@ import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.calibration.likelihood import Evaluator, Gated
-from vislam.calibration.match import MOST_ITERATIONS, MatchingBias, matching_bias, matching_bias_of
-from vislam.calibration.maxima import by_differences, by_scores
+from vislam.calibration.match import MatchingBias, matching_bias, matching_bias_of
+from vislam.calibration.maxima import by_differences, moved_maximum, near_maximum
 from vislam.calibration.parameters import MATCH, Parameter, point_of
 from vislam.calibration.reporter import CHOICES, Reporter, Work
 from vislam.calibration.search import Maximum, Round
@@ -44,22 +44,21 @@ class Searched:
 def search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporter: Reporter) -> Searched:
     """Choose observations by the gate, maximise, choose again, until both have converged.
 
-    A long recording is searched by scores. Where these do not lead to a maximum, and on a short one, it is by
-    differences.
+    A round of differences takes two runs a parameter, so scores lead from the first to the last of them.
     """
-    scores = not evaluator.stands_alone
-    match = matching_bias(start, evaluator, most=1 if scores else MOST_ITERATIONS)
+    match = matching_bias(start, evaluator)
     current = MATCH.write(start, match.pixels)
-    near: Maximum | None = None
     gated = _finished(evaluator.gated(current))
+    near: tuple[Maximum, Target] | None = None
     for choice in range(1, CHOICES + 1):
         current, usable = MATCH.write(current, match.pixels), ~gated.run.gated
-        target = Target(current, chosen, evaluator, usable)
+        target = Target(current, chosen, evaluator, usable, gated.halves)
 
         def ended(found: Round, choice: int = choice, target: Target = target) -> None:
             reporter.round(target.config(found.point), found, choice=choice)
 
-        maximum = _maximum(target, gated, ended, near=near) if scores else by_differences(target, ended)
+        moved = None if near is None else moved_maximum(*near, target, ended)
+        maximum = _from_the_beginning(target, ended) if moved is None else moved
         current = target.config(maximum.point)
         gated = _finished(evaluator.gated(current))
         changed = int(np.sum(gated.run.gated == usable))
@@ -73,32 +72,19 @@ def search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporte
         match_rests = abs(again.pixels - match.pixels) <= _MATCH_RESTS * again.sigma
         if (changed <= _RESTS * len(usable) and match_rests) or choice == CHOICES:
             break
-        match, near = again, maximum
+        match, near = again, (maximum, target)
     return Searched(current, gated.run, maximum, match)
 
 
-def _maximum(
-    target: Target, gated: Gated, ended: Callable[[Round], None], *, near: Maximum | None
-) -> Maximum:
-    """Maximum by scores; by differences from where these have led, if they do not lead there."""
-    best = point_of(target.begin, target.chosen)
-
-    def led(found: Round) -> None:
-        nonlocal best
-        best = found.point
-        ended(found)
-
-    whole, stretches = (replace(target, stretches=part) for part in (gated.halves, gated.stretches))
-    found = by_scores(whole, stretches, led, near=near)
-    return by_differences(replace(target, begin=target.config(best)), ended) if found is None else found
+def _from_the_beginning(target: Target, ended: Callable[[Round], None]) -> Maximum:
+    begin = target.config(near_maximum(target, ended))
+    return by_differences(replace(target, begin=begin), ended)
 
 
 def work_of(start: Config, chosen: list[Parameter], evaluator: Evaluator) -> Work:
     """Work that a calibration takes as a rule that begins with this config."""
-    if evaluator.stands_alone:
-        return Work.by_differences(len(chosen))
     target = Target(start, chosen, evaluator, np.empty(0, bool))
-    return Work.by_scores(len(chosen), others=len(target.others(point_of(start, chosen))))
+    return Work.of(len(chosen), others=len(target.others(point_of(start, chosen))))
 
 
 def finished(run: Run) -> Run:

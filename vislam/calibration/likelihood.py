@@ -29,12 +29,6 @@ _OPTIONS = EkfOptions(
 """The consistent filter, without the backward pass: only innovations are wanted."""
 _SMOOTHED = EkfOptions(error="invariant", landmarks="anchored_uvd", smoothed=True)
 """As ``eks`` ships."""
-STRETCHES, SHARE = 8, 0.25
-"""Stretches that stand for a long recording, and which share of its frames is theirs."""
-_SHORTEST = 30
-"""Frames of a stretch, at least."""
-BEFORE = 16
-"""Frames before a stretch that the filter takes as well: the length of most tracks."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +37,13 @@ class Stretch:
 
     Attributes
     ----------
-    begin, counted, end : int
-        The filter takes the frames from ``begin`` to before ``end``; from ``counted`` on their likelihood
-        counts.
+    begin, end : int
+        From ``begin`` to before ``end``.
     state : JointState or None
         Of the filter before the first of them; None before the first of all.
     """
 
     begin: int
-    counted: int
     end: int
     state: JointState | None = None
 
@@ -67,8 +59,6 @@ class Gated:
         Tracks that have ended.
     matching_bias, variance : (m,)
         Their stereo-matching biases as the filter knows them, and the variances of these.
-    stretches : tuple of Stretch
-        That stand for the recording; none where they would be most of it, or short.
     halves : tuple of Stretch
         The whole recording, in two that do not wait for each other.
     """
@@ -77,7 +67,6 @@ class Gated:
     track: IntArray
     matching_bias: Array
     variance: Array
-    stretches: tuple[Stretch, ...]
     halves: tuple[Stretch, ...]
 
 
@@ -106,11 +95,6 @@ class Evaluator:
     base: Config
     workers: Workers | None = None
 
-    @property
-    def stands_alone(self) -> bool:
-        """Whether the recording is too short for stretches to stand for it."""
-        return not _stretches_of(len(self.dataset.sequence))
-
     def run(self, config: Config, *, usable: BoolArray | None = None) -> Run:
         """Run the filter; with ``usable (n,)`` given, that choice of observations replaces the gate."""
         return _filter(self._moved(config), config, usable)
@@ -120,19 +104,15 @@ class Evaluator:
         dataset = self._moved(config)
         solver = EkfEstimator(_problem(config, dataset), _OPTIONS)
         frames = len(dataset.sequence)
-        stretches, halves = _stretches_of(frames), _halves_of(frames)
-        begins, states = {one.begin for one in (*stretches, *halves)}, dict[int, JointState]()
+        middle, states = frames // 2, list[JointState]()
 
         def passed(k: int) -> None:
-            if k + 1 in begins:
-                states[k + 1] = solver.state.copy()
+            if k + 1 == middle:
+                states.append(solver.state.copy())
 
         run = _run(solver, dataset, config, None, on_frame=passed)
-
-        def begun(some: list[Stretch]) -> tuple[Stretch, ...]:
-            return tuple(replace(one, state=states.get(one.begin)) for one in some)
-
-        return Gated(run, *solver.matching_biases(), begun(stretches), begun(halves))
+        parts = [Stretch(0, middle), *(Stretch(middle, frames, state) for state in states)]
+        return Gated(run, *solver.matching_biases(), tuple(parts if states else [Stretch(0, frames)]))
 
     def levels(self, config: Config) -> Array:
         """Noise levels ``(LEVELS,)`` of a config that :meth:`scored` takes scores of."""
@@ -150,9 +130,9 @@ class Evaluator:
     ) -> tuple[Scored, list[Array]]:
         """Score a config by the backward pass, and the log likelihoods of others beside it.
 
-        All are those of the frames of the stretches, whether they are counted or not.
+        All are those of the frames of the stretches.
         """
-        every = [replace(one, counted=one.begin) for one in stretches]
+        every = list(stretches)
         jobs = self._jobs([config, *others], usable, every)
         of_config = [replace(job, scored=True) for job in jobs[: len(every)]]
         answers = self.map(_answer, [*of_config, *jobs[len(every) :]])
@@ -164,15 +144,10 @@ class Evaluator:
         found = Scored(np.concatenate([part.log_likelihood for part in parts]), scores)
         return found, _joined(answers[len(every) :], len(every))
 
-    def log_likelihoods(
-        self, configs: Items[Config], *, usable: BoolArray, stretches: Items[Stretch] = ()
-    ) -> list[Array]:
-        """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails.
-
-        The frames are those that count of the stretches; all if none are given.
-        """
-        every = stretches or [Stretch(0, 0, len(self.dataset.sequence))]
-        return _joined(self.map(_answer, self._jobs(configs, usable, every)), len(every))
+    def log_likelihoods(self, configs: Items[Config], *, usable: BoolArray) -> list[Array]:
+        """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
+        whole = Stretch(0, len(self.dataset.sequence))
+        return self.map(_answer, self._jobs(configs, usable, [whole]))
 
     def smoothed(self, configs: Items[Config]) -> list[tuple[Dataset, Run]]:
         """Run the smoothed filter with its gate for each config; each dataset is as its config has it."""
@@ -233,21 +208,6 @@ def _run(
     )
 
 
-def _stretches_of(frames: int) -> list[Stretch]:
-    """Stretches of a recording; none where they would be most of it."""
-    length = max(round(SHARE * frames / STRETCHES), _SHORTEST)
-    if 2 * STRETCHES * length > frames:
-        return []
-    counted = np.arange(STRETCHES) * frames // STRETCHES + (frames // STRETCHES - length)
-    return [Stretch(max(first - BEFORE, 0), first, first + length) for first in counted.tolist()]
-
-
-def _halves_of(frames: int) -> list[Stretch]:
-    """Both halves of a recording."""
-    middle = frames // 2
-    return [Stretch(0, 0, middle), Stretch(middle, middle, frames)]
-
-
 @dataclass(frozen=True)
 class _Job:
     """The filter over a stretch; ``usable (n,)`` are the observations that are fused."""
@@ -260,7 +220,7 @@ class _Job:
 
 
 def _answer(job: _Job) -> Array | Scored:
-    """Log likelihood of each frame that counts, and its derivatives where these are asked for."""
+    """Log likelihood of each frame of a stretch, and its derivatives where these are asked for."""
     stretch, many = job.stretch, len(job.dataset.sequence)
     options = replace(_OPTIONS, gate=False)
     solver = EkfEstimator(_problem(job.config, job.dataset), options, scored=job.scored)
@@ -274,10 +234,9 @@ def _answer(job: _Job) -> Array | Scored:
             value = np.array([solver.process(frame).log_likelihood for frame in frames])
     except (DivergedError, np.linalg.LinAlgError):
         value, failed = np.full(stretch.end - stretch.begin, -np.inf), True
-    value = value[stretch.counted - stretch.begin :]
     if not job.scored:
         return value
-    rows = slice(stretch.counted, stretch.end)
+    rows = slice(stretch.begin, stretch.end)
     found = Scores.none(many) if failed else solver.scores(many)
     return Scored(value, Scores(found.levels[rows], found.inputs[rows]))
 

@@ -13,8 +13,7 @@ from vislam.base.types import Array
 from vislam.calibration.likelihood import Evaluator, Gated
 from vislam.comparison.config import Config
 
-MOST_ITERATIONS = 4
-"""Of the fixed point."""
+_ITERATIONS = 4
 _RESTS = 0.01
 _KNOWN = 0.5
 """A stereo-matching bias counts once its variance has fallen to this share of its initial value."""
@@ -34,10 +33,10 @@ class MatchingBias:
     found: bool
 
 
-def matching_bias(config: Config, evaluator: Evaluator, *, most: int = MOST_ITERATIONS) -> MatchingBias:
+def matching_bias(config: Config, evaluator: Evaluator) -> MatchingBias:
     """Level of the stereo-matching bias on the evaluator's sequence, with the config's other settings."""
     level = max(config.noise.matching_bias_px, 0.1)
-    for _ in range(most):
+    for _ in range(_ITERATIONS):
         trial = replace(config, noise=replace(config.noise, matching_bias_px=level))
         again = matching_bias_of(trial, evaluator, evaluator.gated(trial))
         if not again.found:

@@ -1,4 +1,4 @@
-"""Both ways to the maximum: by differences of all frames, and by scores."""
+"""Both ways to the maximum: by differences of all frames, and by scores between two rounds of these."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,22 +8,11 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.calibration.parameters import largest_of, lowest_of, point_of
 from vislam.calibration.refinement import Bounds, refined
-from vislam.calibration.search import (
-    Maximum,
-    Round,
-    differences,
-    information_of,
-    maximise,
-    sigma_of,
-    without_each,
-    without_tails,
-)
-from vislam.calibration.target import Target
+from vislam.calibration.search import Maximum, Round, differences, information_of, maximise, without_tails
+from vislam.calibration.target import Point, Target
 
 TOLERANCE = 0.5
 """Gain of log likelihood below which a search has converged, and which a level must be worth."""
-_CERTAIN = 0.2
-"""Standard deviation of a level's logarithm up to which the data do need it: that of twelve errors of it."""
 
 
 def by_differences(target: Target, on_round: Callable[[Round], None]) -> Maximum:
@@ -40,66 +29,78 @@ def by_differences(target: Target, on_round: Callable[[Round], None]) -> Maximum
     )
 
 
-def by_scores(
-    whole: Target, stretches: Target, on_round: Callable[[Round], None], *, near: Maximum | None = None
-) -> Maximum | None:
-    """Maximum of the whole by its exact score; None where none is found.
+def near_maximum(target: Target, on_round: Callable[[Round], None]) -> Array:
+    """Point ``(p,)`` to begin a search by differences with: where scores lead from the target's beginning.
 
-    How far to go, and the intervals, are by the information of stretches, in proportion to the frames.
+    The score holds the points of linearisation. What it lacks by that is found by differences where the
+    search begins, and taken to stay what it is.
 
     Parameters
     ----------
-    whole, stretches : Target
-        The whole, and stretches of it with the same beginning.
+    target : Target
     on_round : callable
         Is given each round that has ended.
-    near : Maximum or None
-        That of other observations, whose information and intervals are taken, and which levels are needed.
     """
-    lowest, steps = lowest_of(whole.chosen), _steps(whole)
-    start = np.maximum(point_of(whole.begin, whole.chosen), lowest)
-    frames = sum(one.end - one.counted for one in stretches.stretches)
-    share = frames / len(whole.evaluator.dataset.sequence)
-    free = np.ones(len(start), bool) if near is None else np.isfinite(near.sigma)
-    bounds, rounds = Bounds(lowest, largest_of(whole.chosen), free), 0
+    start = best = np.maximum(point_of(target.begin, target.chosen), lowest_of(target.chosen))
+    slopes, _, curvature = differences(target.evaluate, start, _steps(target))
+    lacks = slopes.sum(axis=0) - target.scored(start).gradient
 
-    def bends(point: Array) -> tuple[Array, Array, Array]:
-        """Scores, curvature and information of the stretches, the last in proportion to the frames."""
-        scores, _, curvature = differences(stretches.evaluate, point, steps)
-        return scores, curvature, information_of(without_tails(scores), curvature) / share
+    def ended(found: Round) -> None:
+        nonlocal best
+        best = found.point
+        on_round(found)
 
-    information = bends(start)[2] if near is None else near.information
+    refined(
+        _with(target, lacks),
+        start,
+        information=information_of(without_tails(slopes), curvature),
+        bounds=_bounds(target, np.ones(len(start), bool)),
+        tolerance=TOLERANCE,
+        on_round=ended,
+    )
+    return best
+
+
+def moved_maximum(
+    near: Maximum, before: Target, target: Target, on_round: Callable[[Round], None]
+) -> Maximum | None:
+    """Maximum of a target from that of one that differs by few observations; None where scores find none.
+
+    Intervals and information are those of the other one, and so is which levels are needed.
+    """
+    lacks = -before.scored(near.point).gradient
+    rounds = 0
 
     def ended(found: Round) -> None:
         nonlocal rounds
-        rounds += 1
-        on_round(replace(found, number=rounds))
+        rounds = found.number
+        on_round(found)
 
-    while True:
-        here = refined(
-            whole.scored, start, information=information, bounds=bounds, tolerance=TOLERANCE, on_round=ended
-        )
-        if here is None:
-            return None
-        if near is not None:
-            return replace(
-                near,
-                point=here.value,
-                log_likelihood=here.log_likelihood,
-                rounds=rounds,
-                scores=here.scores,
-            )
-        scores, curvature, information = bends(here.value)
-        free = bounds.inside(here)
-        sigma = sigma_of(scores, curvature, free) * np.sqrt(share)
-        doubtful = np.where(free & (sigma > _CERTAIN), lowest, -np.inf)
-        lost = without_each(whole.evaluate, here.value, doubtful, here=here.log_likelihood)
-        if not (lost <= TOLERANCE).any():
-            break
-        index = int(np.argmin(lost))
-        start, bounds.free[index] = here.value.copy(), False
-        start[index] = lowest[index]
-    return Maximum(here.value, sigma, here.log_likelihood, rounds, here.scores, information)
+    found = refined(
+        _with(target, lacks),
+        near.point,
+        information=near.information,
+        bounds=_bounds(target, np.isfinite(near.sigma)),
+        tolerance=TOLERANCE,
+        on_round=ended,
+    )
+    if found is None:
+        return None
+    return replace(near, point=found.value, log_likelihood=found.log_likelihood, rounds=rounds)
+
+
+def _with(target: Target, lacks: Array) -> Callable[[Array], Point]:
+    """Points of a target with what its score lacks, evenly over the frames."""
+
+    def scored(value: Array) -> Point:
+        found = target.scored(value)
+        return replace(found, scores=found.scores + lacks / len(found.scores))
+
+    return scored
+
+
+def _bounds(target: Target, free: Array) -> Bounds:
+    return Bounds(lowest_of(target.chosen), largest_of(target.chosen), free.astype(bool))
 
 
 def _steps(target: Target) -> Array:

@@ -10,12 +10,10 @@ from vislam.comparison.config import Config
 
 CHOICES = 3
 """How often the gate may choose anew."""
-_ROUNDS, _ROUNDS_BY_SCORES, _CHOICES = 4, 8, 2
-"""What a search takes as a rule."""
+_SCORES, _CHOICES = 12, 2
+"""What a search takes as a rule, beside two rounds of differences."""
 _SCORED = 1.6
 """Time of a run with its backward pass, over that of a plain run."""
-_STRETCHED = 0.4
-"""Time of all stretches, with the frames before them, over that of the whole."""
 _SHARED, _ALONE = 13.0, 2.0
 """Runs that what was found is scored by, side by side and one after the other."""
 
@@ -36,17 +34,10 @@ class Work:
     alone: float
 
     @classmethod
-    def by_differences(cls, parameters: int) -> "Work":
-        """Of so many parameters, each of which takes two runs a round."""
-        each = _ROUNDS * (2 * parameters + 2) + parameters
-        return cls(_CHOICES * each + _SHARED, 4 + _CHOICES + _ALONE)
-
-    @classmethod
-    def by_scores(cls, parameters: int, *, others: int) -> "Work":
-        """Of so many parameters, of which some others take two runs a round."""
-        each = _SCORED + 2 * others
-        stretches = _STRETCHED * 4 * parameters
-        return cls(_ROUNDS_BY_SCORES * each + stretches + _SHARED, 1 + _CHOICES + _ALONE)
+    def of(cls, parameters: int, *, others: int) -> "Work":
+        """Of so many parameters, of which some others take two runs for each score."""
+        differences = 2 * (2 * parameters + 2) + parameters
+        return cls(differences + _SCORES * (_SCORED + 2 * others) + _SHARED, 4 + _CHOICES + _ALONE)
 
     def seconds(self, run: float, *, processes: int) -> float:
         """Time of it, where a run takes so long [s]."""

@@ -1,4 +1,4 @@
-"""The likelihood as a function of what is searched, over a whole recording or over stretches of it."""
+"""The likelihood of a recording as a function of what is searched."""
 
 from collections.abc import Sequence as Items
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Target:
-    """Log likelihood of the frames of stretches, or of all frames.
+    """Log likelihood of all frames.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Target:
     usable : (n,)
         Observations that are fused.
     stretches : sequence of Stretch
-        One after the other for all frames.
+        All frames, in parts that scores are taken of side by side.
     """
 
     begin: Config
@@ -53,12 +53,10 @@ class Target:
 
     def evaluate(self, points: list[Array]) -> list[Array]:
         """Log likelihood ``(T,)`` of each frame at each point."""
-        return self.evaluator.log_likelihoods(
-            [self.config(point) for point in points], usable=self.usable, stretches=self.stretches
-        )
+        return self.evaluator.log_likelihoods([self.config(point) for point in points], usable=self.usable)
 
     def scored(self, value: Array) -> Point:
-        """Log likelihood and score at a point, of all frames that the stretches have.
+        """Log likelihood and score at a point.
 
         The score of levels and of what moves the recorded motion is by the backward pass, that of all else by
         differences.
