@@ -210,13 +210,14 @@ class Solver:
             pose, points = self.poses[-1], self.engine.points([track.key for track in seen])
             moved = se3.local(before, pose) / limit
             if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])) > 1.0:
-                found = "whole"
-                self._relinearise(frame, whole=True)
+                wanted: Settled = "whole"
             elif beyond != "far" and self._neglects(seen, points, pose, before) > beyond:
-                found = found or "recent"
-                self._relinearise(frame, whole=False)
+                wanted = "recent"
             else:
                 break
+            if not self._relinearise(frame, whole=wanted == "whole"):
+                break
+            found = wanted if found is None or wanted == "whole" else found
             before = pose
             for track, point in zip(seen, points, strict=True):
                 track.linearised = point
@@ -228,8 +229,8 @@ class Solver:
         assert isinstance(self.engine, WholeGraph)
         self.engine.converge()
 
-    def _relinearise(self, frame: Frame, *, whole: bool) -> None:
-        """Relinearise the whole graph or its recent part; of a lag, everything that it holds.
+    def _relinearise(self, frame: Frame, *, whole: bool) -> bool:
+        """Relinearise the whole graph or its recent part; of a lag, everything that it holds, if it can be.
 
         A lag is built anew at its estimate, its marginals taken over as quadratics with the point that they
         are of. Were what they tie held where it was first linearised, a landmark that stays in view for
@@ -238,14 +239,16 @@ class Solver:
         """
         if isinstance(self.engine, WholeGraph):
             (self.engine.converge if whole else self.engine.relinearise)()
-            return
+            return True
         before = self.engine
         try:
             self.rebuild(frame, before.factors(), before.estimate(), {})
         except IndeterminateError:
-            # Tracks know where their factors are in that one.
+            # A landmark that is degenerate at the estimate has no factor there. The step was solved before:
+            # it is that landmark that has to go, and tracks know where their factors are in that engine.
             self.engine = before
-            raise
+            return False
+        return True
 
     def _neglects(self, seen: Sequence[Track], points: Array, pose: Array, linearised: Array) -> float:
         """Most that the linearisation of a newest observation neglects, in standard deviations.
