@@ -181,7 +181,7 @@ def test_what_is_degenerate_is_marked_in_the_table_and_not_ranked():
     evaluation = evaluate(runs, record)
     assert evaluation.value("blown", "ate_rmse") < evaluation.value("good", "ate_rmse")
     headline, second, *_ = verdict(runs, evaluation, record.reference).sentences
-    assert headline == "Filtered: good 0.07 m with none to compare it with."
+    assert headline == "Filtered: good 0.071 m with none to compare it with."
     assert second == "Filtered: degenerate and not ranked: blown (fused 3 of 1000 observations only)."
     assert comparison_tables(runs, evaluation)["filtered"].rows[0] == ["status", "complete", "DEGENERATE"]
     only = {"blown": runs["blown"]}
