@@ -262,8 +262,13 @@ def test_correlated_innovations_deny_independence(rng):
 
 def test_without_nis_and_reference_the_verdict_says_what_there_is(rng):
     """As under a robust kernel, where there is no NIS."""
-    drive = record(rng, reference=None, step_twist=np.tile([0.0, 0.0, 0.0, 7.0, 0.0, 0.0], (FRAMES, 1)))
-    found = said([scattered("good", rng), scattered("bad", rng, sigma=8.0 * SIGMA)], drive)
+    runs = [scattered("good", rng), scattered("bad", rng, sigma=8.0 * SIGMA)]
+    count = len(runs[0].used)
+    frame = np.linspace(0, FRAMES - 1, count).astype(int)
+    fused = Tracks(frame, np.arange(count), np.zeros((count, 3)), np.ones((count, 3)))
+    twist = np.tile([0.0, 0.0, 0.0, 7.0, 0.0, 0.0], (FRAMES, 1))
+    drive = record(rng, reference=None, step_twist=twist, given=fused)
+    found = said(runs, drive)
     assert found[0].startswith("Filtered: good predicts the held-out tracks best (")
     assert " px), bad (" in found[0]
     assert found[1] == "There is no reference: what is said is from the data alone."
