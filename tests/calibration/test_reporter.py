@@ -24,13 +24,13 @@ def test_the_time_is_told_first_and_with_each_round_what_is_left(monkeypatch):
     reporter = Reporter(lines.append, lambda config, where: kept.append((config, where)), processes=2)
     reporter.begin(Work(shared=20.0, alone=5.0), run=2.0)
     now[0] = 10.0
-    reporter.round("config", Round(1, np.zeros(1), -10.0, 3.0), choice=1)
+    reporter.round("config", Round(1, np.zeros(1), -10.0, 3.0), choice=1, by="scores")
     now[0] = 31.0
-    reporter.round("other", Round(2, np.zeros(1), -9.0, 1.0), choice=2)
+    reporter.round("other", Round(2, np.zeros(1), -9.0, 1.0), choice=2, by="differences")
     assert lines == [
         "it will take about 30 s: some 25 runs of the filter of 2 s, 2 side by side",
-        "choice 1 of at most 3, round 1: log likelihood -10.0, gained 3.0; about 20 s left",
-        "choice 2 of at most 3, round 2: log likelihood -9.0, gained 1.0; "
+        "choice 1 of at most 3, round 1 by scores: log likelihood -10.0, gained 3.0; about 20 s left",
+        "choice 2 of at most 3, round 2 by differences: log likelihood -9.0, gained 1.0; "
         "takes longer than searches do as a rule",
     ]
     assert [config for config, _ in kept] == ["config", "other"]

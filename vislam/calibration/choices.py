@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -54,10 +55,10 @@ def search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporte
         current, usable = MATCH.write(current, match.pixels), ~gated.run.gated
         target = Target(current, chosen, evaluator, usable, gated.halves)
 
-        def ended(found: Round, choice: int = choice, target: Target = target) -> None:
-            reporter.round(target.config(found.point), found, choice=choice)
+        def ended(by: str, found: Round, choice: int = choice, target: Target = target) -> None:
+            reporter.round(target.config(found.point), found, choice=choice, by=by)
 
-        moved = None if near is None else moved_maximum(*near, target, ended)
+        moved = None if near is None else moved_maximum(*near, target, partial(ended, "scores"))
         maximum = _from_the_beginning(target, ended) if moved is None else moved
         current = target.config(maximum.point)
         gated = _finished(evaluator.gated(current))
@@ -76,9 +77,9 @@ def search(start: Config, chosen: list[Parameter], evaluator: Evaluator, reporte
     return Searched(current, gated.run, maximum, match)
 
 
-def _from_the_beginning(target: Target, ended: Callable[[Round], None]) -> Maximum:
-    begin = target.config(near_maximum(target, ended))
-    return by_differences(replace(target, begin=begin), ended)
+def _from_the_beginning(target: Target, ended: Callable[[str, Round], None]) -> Maximum:
+    begin = target.config(near_maximum(target, partial(ended, "scores")))
+    return by_differences(replace(target, begin=begin), partial(ended, "differences"))
 
 
 def work_of(start: Config, chosen: list[Parameter], evaluator: Evaluator) -> Work:

@@ -73,9 +73,9 @@ class Reporter:
             f"the filter of {run:.2g} s, {self.processes} side by side"
         )
 
-    def round(self, config: Config, ended: Round, *, choice: int) -> None:
-        """Report a round that has ended with this config."""
-        where = f"choice {choice} of at most {CHOICES}, round {ended.number}"
+    def round(self, config: Config, ended: Round, *, choice: int, by: str) -> None:
+        """Report a round by scores or by differences that has ended with this config."""
+        where = f"choice {choice} of at most {CHOICES}, round {ended.number} by {by}"
         left = self._expected - (time.monotonic() - self._began)
         remains = f"about {_duration(left)} left" if left > 0.0 else "takes longer than searches do as a rule"
         self.keep(config, where)
