@@ -91,6 +91,7 @@ SHORT = SimulationConfig(
 @pytest.fixture(autouse=True)
 def _loggers_warn():
     """A command that ran in this process may have left the loggers at errors only."""
+    logging.disable(logging.NOTSET)
     logging.getLogger().setLevel(logging.WARNING)
 
 

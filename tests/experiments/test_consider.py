@@ -2,9 +2,9 @@
 
 import pytest
 
-from experiments.consider import CONSIDER, add, page, settings, table
+from experiments.consider import add, page, settings, table
 from vislam import compare
-from vislam.comparison.config import ConsiderConfig
+from vislam.comparison.config import ORDINARY, ConsiderConfig
 
 
 @pytest.fixture(scope="module")
@@ -35,4 +35,4 @@ def test_the_page_has_the_setting(outcome):
     told = page({}, {}, "machine")
     for line in settings():
         assert f"- {line}" in told
-    assert len(list(settings())) == len({name for name, _, _ in CONSIDER.components()})
+    assert len(list(settings())) == len({name for name, _, _ in ORDINARY.components()})
