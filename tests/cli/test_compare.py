@@ -133,7 +133,7 @@ def test_tiny_leaves_everything_behind(tmp_path, capsys):
     assert page.count("<figure ") == len(drawn)
     table = results_table(document)
     assert "simulation (SIMULATED) against truth" in table
-    assert f"| {value['ekf', 'ate_rmse']:.2f} |" in table
+    assert f"| {value['ekf', 'ate_rmse']:.3f} |" in table
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def test_the_batch_solution_finds_a_simulated_drive_from_a_wrong_start(rng):
 @pytest.mark.slow
 def test_the_batch_solution_of_the_real_tracks_is_near_their_visual_odometry():
     _, reference = gtsam_stereo.load_kitti00(gyro_sigma=0.0, velocity_sigma=0.0, seed=0)
-    _, odometry = gtsam_stereo._visual_odometry()
+    _, odometry = gtsam_stereo._visual_odometry(gtsam_stereo._CAMERA)
     apart = np.linalg.norm(reference.position - odometry[:, :3, 3], axis=1)
     assert 0.1 < apart[-1] < 1.0
     length = np.linalg.norm(np.diff(reference.position, axis=0), axis=1).sum()

@@ -54,6 +54,22 @@ class Interrupted(KeyboardInterrupt):
         return "interrupted"
 
 
+def interruption(error: BaseException) -> Interrupted | None:
+    """Return what an error came of, if that is Ctrl-C or SIGTERM.
+
+    Whoever is interrupted may raise something else: the import of an extension an ImportError, a file that is
+    closed on the way a ValueError.
+    """
+    met: list[BaseException] = []
+    here: BaseException | None = error
+    while here is not None and not any(here is one for one in met):
+        if isinstance(here, Interrupted):
+            return here
+        met.append(here)
+        here = here.__cause__ or here.__context__
+    return None
+
+
 def first_line(error: BaseException) -> str:
     """First line of an error's message, of bounded length, without the path that an OSError repeats."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

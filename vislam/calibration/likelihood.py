@@ -228,17 +228,16 @@ def _answer(job: _Job) -> Array | Scored:
         solver.state = stretch.state.copy()
     sigma = pixel_sigma(job.config, job.dataset)
     frames = job.dataset.sequence.frames(sigma, job.usable, begin=stretch.begin, end=stretch.end)
-    failed = False
-    try:
-        with threadpool_limits(job.config.blas_threads), np.errstate():
+    found = Scores.none(many)
+    with threadpool_limits(job.config.blas_threads), np.errstate():
+        try:
             value = np.array([solver.process(frame).log_likelihood for frame in frames])
-    except (DivergedError, np.linalg.LinAlgError):
-        value, failed = np.full(stretch.end - stretch.begin, -np.inf), True
-    if not job.scored:
-        return value
+        except (DivergedError, np.linalg.LinAlgError):
+            value = np.full(stretch.end - stretch.begin, -np.inf)
+        else:
+            found = solver.scores(many) if job.scored else found
     rows = slice(stretch.begin, stretch.end)
-    found = Scores.none(many) if failed else solver.scores(many)
-    return Scored(value, Scores(found.levels[rows], found.inputs[rows]))
+    return Scored(value, Scores(found.levels[rows], found.inputs[rows])) if job.scored else value
 
 
 def _joined(parts: list[Array], each: int) -> list[Array]:

@@ -21,6 +21,7 @@ from vislam.base.errors import (
     DivergedError,
     Interrupted,
     first_line,
+    interruption,
 )
 from vislam.base.files import check_writable
 from vislam.base.legible import one_line, quoted
@@ -162,15 +163,12 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
         logging.getLogger("vislam.base.settings").setLevel(logging.WARNING)
         try:
             with interruptible():
-                return work()
+                return _interrupted_as_such(work)
         except (ConfigError, DataError, ContractError) as error:
             return _fail(str(error), 2)
         except DivergedError as error:
             return _fail(str(error), 1)
-        except (KeyboardInterrupt, ImportError) as error:
-            # A signal while gtsam is imported comes out of it as an ImportError.
-            if isinstance(error, ImportError) and not isinstance(error.__cause__, Interrupted):
-                raise
+        except KeyboardInterrupt:
             return _fail("interrupted", INTERRUPTED)
         except MemoryError:
             return _fail("there is not enough memory; use fewer frames, tracks, estimators or processes", 2)
@@ -178,6 +176,16 @@ def answer(work: Callable[[], int], *, verbose: bool) -> int:
             _log.info("where it came from", exc_info=True)
             file = getattr(error, "filename", None)
             return _fail(f"{'' if file is None else f'{file}: '}{first_line(error)}", 2)
+
+
+def _interrupted_as_such(work: Callable[[], int]) -> int:
+    """Do the work; what comes of a signal is the signal, whatever it has become on the way."""
+    try:
+        return work()
+    except Exception as error:
+        if (stopped := interruption(error)) is not None:
+            raise stopped from None
+        raise
 
 
 def _fail(said: str, code: int) -> int:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass
 
-from vislam.base.errors import ConfigError, DataError, Interrupted
+from vislam.base.errors import ConfigError, DataError, interruption
 from vislam.base.fields import STRICT
 from vislam.comparison import config as configuration
 from vislam.comparison.config import LIST_MAKER, Config, KernelConfig
@@ -65,9 +65,11 @@ class Member:
             problem = replace(problem, kernel=None if own is None else Kernel(own.degrees_of_freedom))
         try:
             return self.builder(problem, deepcopy(dict(self.options)))
-        except (ConfigError, DataError, Interrupted):
-            raise
         except BaseException as failure:
+            if (stopped := interruption(failure)) is not None:
+                raise stopped from None
+            if isinstance(failure, (ConfigError, DataError)):
+                raise
             return Unbuilt(failure)
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vislam.base.errors import ContractError, Interrupted, LostError, first_line
+from vislam.base.errors import ContractError, Interrupted, LostError, first_line, interruption
 from vislam.base.memory import PeakMemory
 from vislam.base.types import Array, BoolArray
 from vislam.core.estimator import Estimator
@@ -81,7 +81,7 @@ def run(
             with _left_as_found():
                 journal.feed(estimator, sigma, on_frame)
         except BaseException as raised:
-            failure = raised
+            failure = interruption(raised) or raised
         total = time.perf_counter() - started
     found = journal.run(name, failure=failure, total_time=total, peak_rss=memory.peak)
     found = replace(
