@@ -19,8 +19,8 @@ _TOLERANCE = 1e-6
 _STEP = 1e3
 """Smallest step, in digits of the file; what moves by a few digits a step may do so equally."""
 _DIGITS = 12
-_SCORED = 2
-"""Poses that a reference needs at least."""
+_MOST = 0.5
+"""Share of the poses beyond which they are of the reference's nature, and no gap."""
 _SHOWN = 3
 """Stretches that are named one by one."""
 
@@ -61,8 +61,8 @@ def filled(values: Array, at: Array) -> BoolArray:
 def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
     """Reference without the poses that were filled in, and a remark on them; empty if there are none.
 
-    Steps are looked at that are equal from frame to frame, and that are equal in time. A reference that has
-    nothing else is left as it is.
+    Steps are looked at that are equal from frame to frame, and that are equal in time. A reference most of
+    whose poses are such was made or interpolated as a whole, and is left as it is.
 
     Parameters
     ----------
@@ -72,13 +72,19 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
     """
     frame = reference.frame
     computed = filled(reference.position, frame.astype(float)) | filled(reference.position, stamp[frame])
-    if not computed.any() or np.count_nonzero(~computed) < _SCORED:
+    if not computed.any():
         return reference, ""
     stretches = [
         f"{frame[first]} to {frame[end - 1]}" if end - first > 1 else f"{frame[first]}"
         for first, end in runs(computed)
     ]
     shown = ", ".join(stretches[:_SHOWN]) + (" and others" if len(stretches) > _SHOWN else "")
+    told = (
+        f"{reference.name}: {np.count_nonzero(computed)} of {len(frame)} poses, of frames {shown}, lie "
+        "between others in exactly equal steps: "
+    )
+    if computed.mean() > _MOST:
+        return reference, f"{told}simulated or interpolated, not measured; they are scored all the same"
     kept = ~computed
     return (
         replace(
@@ -87,8 +93,7 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
             position=reference.position[kept],
             pose=None if reference.pose is None else reference.pose[kept],
         ),
-        f"{reference.name}: {np.count_nonzero(computed)} of {len(frame)} poses, of frames {shown}, lie "
-        "between others in exactly equal steps: filled in, not measured; nothing is scored by them",
+        f"{told}filled in, not measured; nothing is scored by them",
     )
 
 
