@@ -25,7 +25,7 @@ _SHOWN = 3
 """Stretches that are named one by one."""
 
 
-def filled(values: Array, at: Array) -> BoolArray:
+def filled(values: Array, *scales: Array) -> BoolArray:
     """Which rows lie between two others in equal steps, many in a row.
 
     The rows at both ends of such a stretch were measured, and are not among them. At the beginning and the
@@ -35,8 +35,8 @@ def filled(values: Array, at: Array) -> BoolArray:
     ----------
     values : (n, d)
         Positions, or samples.
-    at : (n,)
-        Frames or times of the rows, increasing: steps are equal in them.
+    *scales : (n,)
+        Frames and times of the rows, increasing: steps are equal in one of them.
 
     Returns
     -------
@@ -46,16 +46,21 @@ def filled(values: Array, at: Array) -> BoolArray:
     out = np.zeros(len(values), bool)
     if len(values) < _FEWEST + 2:
         return out
+    for at in scales:
+        for first, end in runs(_between_neighbours(values, at)):
+            if end - first >= _FEWEST:
+                begin, stop = first + 1, end + 1
+                out[0 if begin == 1 else begin : len(out) if stop == len(out) - 1 else stop] = True
+    return out
+
+
+def _between_neighbours(values: Array, at: Array) -> BoolArray:
+    """Which rows ``(n - 2,)``, the first and the last aside, are what a line between their neighbours has."""
     before, after = values[:-2], values[2:]
     share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
     length = np.linalg.norm(after - before, axis=1)
     off = np.linalg.norm(before + share * (after - before) - values[1:-1], axis=1)
-    equal = (off <= _TOLERANCE * length) & (length > _STEP * _resolution(values))
-    for first, end in runs(equal):
-        if end - first >= _FEWEST:
-            begin, stop = first + 1, end + 1
-            out[0 if begin == 1 else begin : len(out) if stop == len(out) - 1 else stop] = True
-    return out
+    return np.asarray((off <= _TOLERANCE * length) & (length > _STEP * _resolution(values)))
 
 
 def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
@@ -71,7 +76,7 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
         Camera times of the recording [s].
     """
     frame = reference.frame
-    computed = filled(reference.position, frame.astype(float)) | filled(reference.position, stamp[frame])
+    computed = filled(reference.position, frame.astype(float), stamp[frame])
     if not computed.any():
         return reference, ""
     stretches = [

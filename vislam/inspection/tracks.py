@@ -83,9 +83,8 @@ def _steps(sequence: Sequence) -> Finding:
     missing = int(np.round(step[gaps] / usual - 1.0).sum())
     inertial = np.diff(sequence.inertial_stamp)
     inertial_gaps = int(np.sum(inertial > 2.0 * max(usual, float(np.median(inertial)))))
-    computed = np.flatnonzero(filled(sequence.twist, sequence.inertial_stamp))
-    if not len(computed):
-        computed = np.flatnonzero(filled(sequence.twist, np.arange(float(len(sequence.twist)))))
+    number = np.arange(float(len(sequence.twist)))
+    computed = np.flatnonzero(filled(sequence.twist, number, sequence.inertial_stamp))
     counts = {
         "period_s": usual,
         "gaps": len(gaps),
