@@ -141,7 +141,7 @@ def batch(given: Sequence[Given]) -> Found:
 
 def lines(drive: Drive, usable: BoolArray, target: Array, *, lag_s: float) -> Iterator[str]:
     """Rows of the table; ``target (T, 4, 4)`` are the reference's poses of the body at all frames."""
-    # Of a window that is built anew to relinearise it there is more than one update a frame.
+    # Of a window that is rebuilt to relinearise it there is more than one update a frame.
     lag = {**VARIANTS["fixed_lag"], "lag_s": lag_s, "relinearize_beyond": None}
     lagged = run_ours(drive, SmootherOptions(**lag), usable)
     whole = run_ours(drive, SmootherOptions(**VARIANTS["batch"]), usable)

@@ -21,7 +21,7 @@ def turns(pose):
 
 
 def among_others(seeds, own):
-    """Samples of several drives on end, that of the seed ``own`` at the planted offset."""
+    """Samples of several drives one after the other, that of the seed ``own`` at the planted offset."""
     at = seeds.index(own)
     parts, shift = [], [PLANTED + 12.0 * (place - at) for place in range(len(seeds))]
     for seed, begin in zip(seeds, shift, strict=True):

@@ -241,7 +241,7 @@ def _answer(job: _Job) -> Array | Scored:
 
 
 def _joined(parts: list[Array], each: int) -> list[Array]:
-    """Arrays joined by so many on end."""
+    """Arrays, so many consecutive ones concatenated each."""
     return [np.concatenate(parts[start : start + each]) for start in range(0, len(parts), each)]
 
 

@@ -9,7 +9,7 @@ from vislam.calibration.search import Round
 from vislam.comparison.config import Config
 
 CHOICES = 3
-"""How often the gate may choose anew."""
+"""How often the gate may choose the observations."""
 _SCORES, _CHOICES = 12, 2
 """What a search takes as a rule, beside two rounds of differences."""
 _SCORED = 1.6

@@ -36,8 +36,8 @@ class Consensus:
         off = np.nan_to_num(np.linalg.norm(step_residuals(sequence), axis=1)) > self.threshold
         beside_inertia = np.nan_to_num(few_track_distances(sequence)) > self.threshold
         if self.recognised:
-            astray = _astray(sequence, off | beside_inertia)
-            return sequence.select(~astray, dropped_inconsistent=int(astray.sum()))
+            inconsistent = _inconsistent(sequence, off | beside_inertia)
+            return sequence.select(~inconsistent, dropped_inconsistent=int(inconsistent.sum()))
         return start_new_tracks(
             sequence,
             off | beside_inertia,
@@ -46,7 +46,7 @@ class Consensus:
         )
 
 
-def _astray(sequence: Sequence, off: BoolArray) -> BoolArray:
+def _inconsistent(sequence: Sequence, off: BoolArray) -> BoolArray:
     """Mask ``(n,)`` of observations that agree with none of their neighbours in successive frames.
 
     A step does not tell which of its ends is off: one whose other step agrees is not. What has no neighbour

@@ -90,8 +90,8 @@ class StateNoise(Step):
     first : int
         Row of the error at which that of its first block begins.
     by : (n, s, m)
-        What a standard deviation of each does to a block of s rows; the blocks are on end where ``slots`` is
-        None, and each has noise of its own.
+        What a standard deviation of each does to a block of s rows; the blocks are contiguous where ``slots``
+        is None, and each has noise of its own.
     slots : (n,) or None
         Which blocks these are.
     """

@@ -365,7 +365,7 @@ class FixedLag(_Read):
         parameters.relinearizeSkip = max(options.relinearize_every, 1)
         assert options.lag_s is not None
         self._solver = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
-        # Factors that are given to it have slots on end, and with each update marginals come behind them.
+        # Factors that are given to it have consecutive slots; each update appends marginals behind them.
         self._marginals, self._end = array("q"), 0
         # Of an update that failed the factors are the last ones, and their slots are not known.
         self._unplaced = 0

@@ -232,7 +232,7 @@ class Solver:
     def _relinearise(self, frame: Frame, *, whole: bool) -> bool:
         """Relinearise the whole graph or its recent part; of a lag, everything that it holds, if it can be.
 
-        A lag is built anew at its estimate, its marginals taken over as quadratics with the point that they
+        A lag is rebuilt at its estimate, its marginals taken over as quadratics with the point that they
         are of. Were what they tie held where it was first linearised, a landmark that stays in view for
         longer than the lag would be, whatever its estimate has become: next to landmarks a metre or two away,
         each relinearisation of the others would then ask for a larger correction than the one before it.
