@@ -97,15 +97,26 @@ def test_where_all_observations_share_an_error_the_tree_stays_whole(monkeypatch,
     assert np.array_equal(whole.smoothed.world_T_imu, cut.smoothed.world_T_imu)
 
 
-def test_where_poses_are_reported_by_the_first_frame_it_stays_whole(monkeypatch, cuts):
+@pytest.mark.parametrize("camera_rotation", [0.0, 0.01])
+def test_what_poses_are_reported_by_stays(monkeypatch, cuts, camera_rotation):
     settings = {"navigation_frame_velocity": True, "hills_m": 10.0, **SHORT}
-    config, _ = drive(seed=8, frames=30, **settings)
+    config, _ = drive(seed=8, frames=100, **settings)
     data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
-    noise = replace(config.noise, vertical_velocity=VerticalVelocityConfig(walk=0.05, tilt_sigma=0.05))
+    noise = replace(
+        config.noise,
+        vertical_velocity=VerticalVelocityConfig(walk=0.05, tilt_sigma=0.05),
+        camera_rotation_sigma=camera_rotation,
+    )
     config, dataset = replace(config, data=data, noise=noise), open_dataset(data, seed=8)
-    whole, cut = both(monkeypatch, config, dataset)
-    assert not cuts
-    assert np.array_equal(whole.filtered.world_T_imu, cut.filtered.world_T_imu)
+    options = {"pose_cov_every": 10, "marginals": "poses", "wildfire_threshold": UP_TO_DATE}
+    whole, cut = both(monkeypatch, config, dataset, **options)
+    assert len(cuts) >= 3
+    assert max(cuts) < 0.6 * (len(whole.landmarks) + 4 * 100)
+    for one, other in ((whole.filtered, cut.filtered), (whole.smoothed, cut.smoothed)):
+        assert max(gap(one.world_T_imu, other.world_T_imu)) < 1e-6
+        assert np.allclose(one.covariances, other.covariances, rtol=1e-5, atol=1e-14, equal_nan=True)
+    assert np.allclose(whole.map.points_world, cut.map.points_world, atol=1e-5)
+    assert whole.log.counts == cut.log.counts
 
 
 def test_where_old_poses_are_read_at_each_step_it_stays_whole(monkeypatch, cuts):
@@ -124,6 +135,8 @@ def test_what_leaves_shares_no_factor_with_what_moves():
     assert _leaving(keys, resting, ()) == {X(0), X(1), old}
     # By a marginal it would be tied to whatever stays of it, for ever.
     assert _leaving(keys, resting, (5,)) == {X(0), X(1), old, far}
+    # What is needed all along stays, and keeps nothing else.
+    assert _leaving(keys, resting, (), {X(0)}) == {X(1), old}
 
 
 def chain(count):

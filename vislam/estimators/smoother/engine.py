@@ -193,7 +193,7 @@ class WholeGraph(_Read):
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
 
     What is old leaves the tree for the time of the steps (:mod:`vislam.estimators.smoother.segments`), unless
-    all variables are to be up to date at each step, or those of the first frame are.
+    all variables are to be up to date at each step.
     """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
@@ -242,8 +242,8 @@ class WholeGraph(_Read):
             parameters.force_relinearize = True
             parameters.noRelinKeys = self._resting
         slots = self._solve(graph, values, parameters, remove)
-        # Where the first frame is solved with each step, as all poses are reported by it, all stay.
-        if self._at_rest.isdisjoint(newest) and self._segments.cut(self._at_rest, last):
+        # What is solved with each step stays, as the first pose where all others are reported by it.
+        if self._segments.cut(self._at_rest, last, self._at_rest.intersection(newest)):
             self._set_resting()
         return slots[1:] if self._anchored else slots
 

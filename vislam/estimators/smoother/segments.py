@@ -5,11 +5,12 @@ step grows linearly with the sequence, although nothing of what is old is touche
 are not relinearised any more) and share no factor with one that does not are eliminated once and leave: the
 rest has the same marginal as before, at the same linearisation point, by the factorisation that the tree
 would have had as well (Kaess et al., *iSAM2: Incremental Smoothing and Mapping Using the Bayes Tree*, IJRR
-2012, section 3: a sub-tree enters what is above it by the marginal on its separator alone). All factors and
+2012, section 3: a sub-tree enters what is above it by the marginal on its separator alone). A variable that
+is needed all along, as the first pose by which all are reported, is in that separator. All factors and
 linearisation points are kept, and what needs all of them has the whole tree again.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -122,7 +123,9 @@ class Segments:
         found.insert(self._tree.getLinearizationPoint())
         return found
 
-    def cut(self, resting: Collection[int], last: gtsam.KeyGroupMap) -> bool:
+    def cut(
+        self, resting: Collection[int], last: gtsam.KeyGroupMap, lasting: Collection[int] = frozenset()
+    ) -> bool:
         """Let leave what may, now and then, and say whether anything did.
 
         Parameters
@@ -131,12 +134,14 @@ class Segments:
             Variables that are not relinearised.
         last : gtsam.KeyGroupMap
             What is eliminated last.
+        lasting : collection of int
+            Those of the resting variables that are needed all along.
         """
         if not self._cuts or self._updates < self._wait:
             return False
         held = self._tree.getFactorsUnsafe()
         keys = {slot: held.at(slot).keys() for slot in range(held.size()) if held.exists(slot)}
-        leaving = _leaving(keys, resting, self._place.marginals)
+        leaving = _leaving(keys, resting, self._place.marginals, lasting)
         if 2 * len(leaving) < len(set().union(*keys.values())):
             # Long tracks, or errors that all observations share: looked at again after twice the time.
             self._wait = 2 * self._updates
@@ -200,20 +205,26 @@ class Segments:
         return tree
 
 
-def _leaving(keys: dict[int, list[int]], resting: Collection[int], marginals: Collection[int]) -> set[int]:
+def _leaving(
+    keys: Mapping[int, Sequence[int]],
+    resting: Collection[int],
+    marginals: Collection[int],
+    lasting: Collection[int] = frozenset(),
+) -> set[int]:
     """Variables that rest, as do all that they share a factor with.
 
     A landmark leaves with the last frame that saw it: else those frames would all be tied to each other.
+    What lasts stays by itself: what it is tied to leaves, and ties it to what that was tied to.
     """
     stay: set[int] = set()
     for own in keys.values():
         if any(key not in resting for key in own):
             stay.update(own)
-    frames = {key for key in stay if not is_landmark(key)}
+    frames = {key for key in stay if not is_landmark(key)}.difference(lasting)
     for slot, own in keys.items():
         if slot not in marginals and not frames.isdisjoint(own):
             stay.update(filter(is_landmark, own))
-    return set().union(*keys.values()) - stay
+    return set().union(*keys.values()) - stay.union(lasting)
 
 
 def _marginal(

@@ -71,10 +71,8 @@ class TwistErrors:
         return self._key(CAMERA_ROTATION, k)
 
     def keys(self, k: int) -> list[int]:
-        """Keys of those that are a frame's own: what walks."""
-        return [
-            self._of_frame(name, k) for name in self._priors if self._walks(name) and self._begun(name, k)
-        ]
+        """Keys of those that are new at a frame: what walks, and what is constant where it begins."""
+        return [self._of_frame(name, k) for name in self._priors if self._new(name, k)]
 
     def tied(self, k: int) -> list[int]:
         """Keys that the factors of the next frame tie to, or by which poses are reported."""
