@@ -257,6 +257,19 @@ def test_the_energy_score_in_one_dimension_is_the_crps():
     assert np.allclose(log_score(error, factor), -norm.logpdf(2.0 * z, scale=2.0))
 
 
+def test_the_energy_score_is_that_of_the_distances_of_its_draws(rng):
+    """Gneiting and Raftery (2007), eq. 21, draw by draw."""
+    root = rng.normal(size=(7, 3, 3))
+    factor = np.linalg.cholesky(root @ root.transpose(0, 2, 1) + 0.1 * np.eye(3))
+    error = rng.normal(size=(7, 3)) * 2.0
+    half = np.random.default_rng(0).standard_normal((128, 3))
+    for which, found in enumerate(energy_score(error, factor)):
+        draws = [factor[which] @ one for one in [*half, *-half]]
+        apart = [np.linalg.norm(one - factor[which] @ error[which]) for one in draws]
+        spread = np.sqrt(2.0) * np.mean(np.linalg.norm(draws, axis=1))
+        assert found == pytest.approx(np.mean(apart) - 0.5 * spread, rel=1e-9)
+
+
 def test_proper_scores_are_least_for_the_claim_that_is_true(rng):
     error = rng.normal(size=(600, 3)) * 0.3
     for rule in (log_score, energy_score):

@@ -1,12 +1,22 @@
 """Held-out tracks: who is held out, what a trajectory scores, and which of two is better."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from tests.conftest import from_first, recorded
 from vislam.datasets.course_npz import load_course_npz
-from vislam.evaluation.held_out import CAP_PX, FEWEST_VIEWS, HeldOut, hold_out, paired, score
+from vislam.evaluation.held_out import (
+    CAP_PX,
+    FEWEST_VIEWS,
+    HeldOut,
+    HeldOutScore,
+    hold_out,
+    paired,
+    score,
+)
 from vislam.geometry import se3
 from vislam.models.track_noise import SHARES
 from vislam.simulation import SimulationConfig, simulate
@@ -205,6 +215,16 @@ def test_the_better_of_two_is_found():
     assert found.gain > 0.0
     assert np.isclose(found.better + turned.better, 1.0)
     assert np.isclose(found.gain, -turned.gain)
+
+
+def test_blocks_of_a_long_sequence_are_longer(rng):
+    frame = np.sort(rng.integers(0, 100_000, 4000))
+    frame[-1] = 99_999
+    scores = [HeldOutScore(np.arange(4000), frame, np.abs(rng.normal(size=4000))) for _ in range(2)]
+    # A 250th of the sequence has 400 frames: as if these were the thirty of a short one.
+    short = [replace(one, frame=30 * (frame // 400)) for one in scores]
+    assert paired(*scores) == paired(*short)
+    assert paired(*scores) != paired(*(replace(one, frame=30 * (frame // 800)) for one in scores))
 
 
 def test_a_run_is_no_better_than_itself(straight):

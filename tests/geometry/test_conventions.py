@@ -73,6 +73,20 @@ def test_hat_is_the_cross_product(rng):
     assert np.allclose(np.einsum("nij,nj->ni", so3.hat(a), b), np.cross(a, b))
 
 
+@pytest.mark.parametrize("broken", [1.0, 1e-3, 2.0, np.nan, np.inf, 1e200])
+def test_one_matrix_is_as_far_from_a_rotation_as_in_a_stack(rng, broken):
+    """Each of its entries, one after the other, is off."""
+    for entry in range(9):
+        matrix = so3.exp(rng.normal(size=3))
+        matrix.flat[entry] *= broken
+        with np.errstate(over="ignore", invalid="ignore"):
+            expected = so3.defect(matrix[None])
+        for one, many in zip(so3.defect(matrix), expected, strict=True):
+            assert one.shape == ()
+            assert np.allclose(one, many[0], rtol=1e-12, atol=1e-15, equal_nan=True)
+    assert broken != 1.0 or so3.defect(matrix)[0] < 1e-15
+
+
 def test_the_smallest_rotation_from_one_direction_to_another(rng):
     for one, other in [*rng.normal(size=(5, 2, 3)), (np.eye(3)[2], -np.eye(3)[2]), (np.ones(3), np.ones(3))]:
         turn = so3.onto(one, other)

@@ -30,6 +30,8 @@ _CHUNK = 256
 """Tracks that are triangulated together."""
 _BLOCK = 30
 """Frames in which tracks begin that share their luck: about the longest that a track lives."""
+_MOST_BLOCKS = 250
+"""In a long sequence blocks are longer, so that there are no more of them."""
 _DRAWS = 10_000
 
 
@@ -211,9 +213,9 @@ def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
     """Compare two trajectories on the same tracks.
 
     Tracks in view together share the error of the poses, so they are no independent trials: those that begin
-    within the same thirty frames are taken for one. The interval is that of a bootstrap over these blocks,
-    the p-value that of a sign test which swaps the two trajectories in random blocks; with B blocks it
-    cannot fall below 2^(1-B).
+    within the same thirty frames are taken for one, or within a 250th of the sequence if that is longer. The
+    interval is that of a bootstrap over these blocks, the p-value that of a sign test which swaps the two
+    trajectories in random blocks; with B blocks it cannot fall below 2^(1-B).
 
     Raises
     ------
@@ -224,7 +226,8 @@ def paired(one: HeldOutScore, other: HeldOutScore, *, seed: int = 0) -> Paired:
         raise ValueError("two trajectories are compared on the same tracks, of which there must be some")
     larger = other.rms - one.rms
     # SciPy's dense ranks are integers or floats by its version; these are integers in all.
-    block = np.unique(one.frame // _BLOCK, return_inverse=True)[1]
+    length = max(_BLOCK, -(-(int(one.frame.max()) + 1) // _MOST_BLOCKS))
+    block = np.unique(one.frame // length, return_inverse=True)[1]
     tracks = np.bincount(block)
     balance = np.bincount(block, weights=np.sign(larger))
     generator = np.random.default_rng(seed)

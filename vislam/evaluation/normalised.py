@@ -306,7 +306,16 @@ def usable(cov: Array) -> BoolArray:
     sigma = _sigma(safe)
     correlation = safe / (sigma[:, :, None] * sigma[:, None, :])
     symmetric = np.abs(correlation - correlation.transpose(0, 2, 1)).max(axis=(1, 2)) < _ASYMMETRY
-    return np.asarray(known & symmetric & (np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR), np.bool_)
+    return np.asarray(known & symmetric & _definite(correlation), np.bool_)
+
+
+def _definite(correlation: Array) -> BoolArray:
+    """Which correlations ``(n, d, d)`` are positive definite: by one factorisation, if all of them are."""
+    try:
+        np.linalg.cholesky(correlation - _SINGULAR * np.eye(correlation.shape[-1]))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR, np.bool_)
+    return np.ones(len(correlation), np.bool_)
 
 
 def whiten(error: Array, cov: Array) -> Array:

@@ -44,15 +44,23 @@ def energy_score(whitened: Array, factor: Array) -> Array:
     whitened, factor
         As for :func:`log_score`.
     """
-    draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, whitened.shape[1]))
     # Each with its opposite: the mean of the draws is then that of the distribution.
-    draws = np.concatenate([draws, -draws])
+    draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, whitened.shape[1]))
+    products = (draws[:, :, None] * draws[:, None, :]).reshape(len(draws), -1)
     found = np.empty(len(whitened))
     for start in range(0, len(whitened), _MOST_AT_ONCE):
         rows = slice(start, start + _MOST_AT_ONCE)
-        sample = np.einsum("nij,kj->nki", factor[rows], draws)
-        error = np.einsum("nij,nj->ni", factor[rows], whitened[rows])
-        apart = np.linalg.norm(sample - error[:, None, :], axis=2).mean(axis=1)
-        spread = np.linalg.norm(sample, axis=2).mean(axis=1)
-        found[rows] = apart - spread / np.sqrt(2.0)
+        gram = factor[rows].transpose(0, 2, 1) @ factor[rows]
+        toward = (gram @ whitened[rows, :, None])[:, :, 0]
+        # Squares of a draw, of what was erred, and twice their product.
+        drawn = gram.reshape(len(gram), -1) @ products.T
+        erred = np.sum(whitened[rows] * toward, axis=1)
+        mixed = 2.0 * toward @ draws.T
+        apart = sum(_root(drawn + erred[:, None] + sign * mixed).mean(axis=1) for sign in (-1.0, 1.0))
+        found[rows] = 0.5 * apart - _root(drawn).mean(axis=1) / np.sqrt(2.0)
     return found
+
+
+def _root(squares: Array) -> Array:
+    """Root of sums of squares that rounding may have taken below 0."""
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

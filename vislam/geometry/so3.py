@@ -65,9 +65,26 @@ def defect(matrix: Array) -> tuple[Array, Array]:
 
     The determinant is the triple product of the rows, which has no trouble with numbers next to zero.
     """
+    if matrix.ndim == 2:
+        return _defect_of_one(matrix.tolist())
     off = np.abs(np.swapaxes(matrix, -1, -2) @ matrix - np.eye(3)).max(axis=(-1, -2))
     normal = np.cross(matrix[..., 0, :], matrix[..., 1, :])
     return off, np.asarray(np.sum(normal * matrix[..., 2, :], axis=-1))
+
+
+def _defect_of_one(rows: list[list[float]]) -> tuple[Array, Array]:
+    """The same of a single matrix, as each pose that an estimator returns is looked at."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    products = (
+        a * a + d * d + g * g - 1.0,
+        b * b + e * e + h * h - 1.0,
+        c * c + f * f + i * i - 1.0,
+        a * b + d * e + g * h,
+        a * c + d * f + g * i,
+        b * c + e * f + h * i,
+    )
+    normal = b * f - c * e, c * d - a * f, a * e - b * d
+    return np.asarray(np.abs(products).max()), np.asarray(normal[0] * g + normal[1] * h + normal[2] * i)
 
 
 def left_jacobian(omega: Array) -> Array:
