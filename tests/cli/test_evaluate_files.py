@@ -65,6 +65,24 @@ def test_a_reference_file_first_or_as_an_option_is_the_same(files, capsys):
     assert ("orb|vins", "trajectory_distance_rmse") in found
 
 
+def test_nothing_is_scored_by_poses_of_the_reference_that_were_filled_in(files):
+    """Two seconds on a straight line in equal steps, while the vehicle drove on as before."""
+    dense = np.arange(49.0, 71.0, 0.01)
+    pose = drive(dense)
+    share = np.linspace(0.0, 1.0, 201)[:, None]
+    pose[500:701, :3, 3] = (1 - share) * pose[500, :3, 3] + share * pose[700, :3, 3]
+    write("lost.tum", dense, pose)
+    assert main(["gt.tum", *TWO, "--no-report", "--out", "one"]) == 0
+    assert main(["lost.tum", *TWO, "--no-report", "--out", "two"]) == 0
+    whole, found = values(files / "one"), values(files / "two")
+    assert found["orb", "ate_rmse"] == pytest.approx(whole["orb", "ate_rmse"], rel=0.15)
+    assert found["orb", "share_matched"] == pytest.approx(100.0 * 181 / 200, abs=1.0)
+    (remark,) = [note for note in document(files / "two")["dataset"]["notes"] if "equal steps" in note]
+    assert "lost: 199 of 2200 poses, at stamps 54.01 to 55.99, lie between" in remark
+    assert "filled in, not measured; nothing is scored by them" in remark
+    assert not [note for note in document(files / "one")["dataset"]["notes"] if "equal steps" in note]
+
+
 @pytest.mark.slow
 def test_the_page_has_tables_figures_and_what_was_noticed(files):
     write("late.tum", STAMP + 0.3, drive(STAMP))

@@ -17,6 +17,7 @@ from vislam.checks.settings import Check
 from vislam.comparison.imported import read_elsewhere
 from vislam.comparison.provenance import provenance
 from vislam.comparison.results import Results
+from vislam.core.filled import measured_rows
 from vislam.core.own_clock import OwnClock
 from vislam.core.record import Record, Tracks
 from vislam.core.reference import Reference
@@ -81,13 +82,13 @@ def score_files(config: ScoringConfig, *, failed: dict[str, str] | None = None) 
         If a file cannot be read or used, or has nothing in common with the reference.
     """
     _refuse_names([one.name for one in config.trajectories])
-    reference, source, notes = _reference(config.reference)
+    reference, source, notes, remark = _reference(config.reference)
     settings = matching_of(config.matching)
     own: dict[str, OwnClock] = {}
     for one in config.trajectories:
         try:
             found, given = read_elsewhere(one)
-            _refuse_places(given, source, by_place=notes.by_place)
+            _refuse_places(given, notes)
             if found.stamped.timed != source.timed:
                 raise DataError(_kinds(one, config.reference, stamped=found.stamped.timed))
             own[one.name] = on_own_clock(found, reference, source, settings)
@@ -101,6 +102,7 @@ def score_files(config: ScoringConfig, *, failed: dict[str, str] | None = None) 
     stamp = _timeline([clock.run.stamp for clock in own.values()])
     runs = {name: _on(stamp, clock) for name, clock in own.items()}
     record = _record(config, reference, source, stamp, notes)
+    record = replace(record, notes=(*record.notes, *filter(None, [remark])))
     return Results(config, record, runs, own=own)
 
 
@@ -112,8 +114,8 @@ def _refuse_names(names: Sequence[str]) -> None:
         raise ConfigError(f"there are two trajectories called {twice}; choose another name")
 
 
-def _reference(config: TrajectoryConfig) -> tuple[Reference, Stamped, Given]:
-    """Reference without rows, its rows, and how they were read."""
+def _reference(config: TrajectoryConfig) -> tuple[Reference, Stamped, Given, str]:
+    """Reference without rows, its rows that were measured, how they were read, and a remark on the others."""
     if config.clock_offset == "estimate" or config.alignment != "se3":
         raise ConfigError("reference: clock_offset: estimate and alignment: sim3 are of a trajectory")
     found, given = read_elsewhere(config)
@@ -131,14 +133,16 @@ def _reference(config: TrajectoryConfig) -> tuple[Reference, Stamped, Given]:
         sigma=config.sigma_m,
         sigma_rotation=float(np.deg2rad(config.sigma_deg)),
     )
-    return reference, own.stamped, given
+    rows, remark = measured_rows(own.stamped, config.name)
+    return reference, rows, given, remark
 
 
-def _refuse_places(given: Given, source: Stamped, *, by_place: bool) -> None:
+def _refuse_places(given: Given, reference: Given) -> None:
     """Raise DataError if poses are known by their places alone, and those of the reference are others."""
-    if given.by_place and not source.timed and (not by_place or len(given.stamped) != len(source)):
+    rows = reference.stamped
+    if given.by_place and not rows.timed and (not reference.by_place or len(given.stamped) != len(rows)):
         raise DataError(
-            f"{given.config.file}: {len(given.stamped)} poses for {len(source)} of the reference, and "
+            f"{given.config.file}: {len(given.stamped)} poses for {len(rows)} of the reference, and "
             "nothing says which belong together; give frames=FILE (their numbers) or times=FILE (their "
             "stamps), a line for each"
         )

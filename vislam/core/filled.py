@@ -4,6 +4,7 @@ Where an instrument has lost packets, a recording often has what lies between th
 nothing of it. Scored by such poses, an estimator is wrong where it is right.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from vislam.base.arrays import runs
 from vislam.base.types import Array, BoolArray
 from vislam.core.reference import Reference
+from vislam.core.stamped import Stamped
 
 _FEWEST = 4
 """Poses in a row, each in the middle of its neighbours, that are no coincidence."""
@@ -77,20 +79,9 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
     """
     frame = reference.frame
     computed = filled(reference.position, frame.astype(float), stamp[frame])
-    if not computed.any():
-        return reference, ""
-    stretches = [
-        f"{frame[first]} to {frame[end - 1]}" if end - first > 1 else f"{frame[first]}"
-        for first, end in runs(computed)
-    ]
-    shown = ", ".join(stretches[:_SHOWN]) + (" and others" if len(stretches) > _SHOWN else "")
-    told = (
-        f"{reference.name}: {np.count_nonzero(computed)} of {len(frame)} poses, of frames {shown}, lie "
-        "between others in exactly equal steps: "
-    )
-    if computed.mean() > _MOST:
-        return reference, f"{told}simulated or interpolated, not measured; they are scored all the same"
-    kept = ~computed
+    kept, remark = _judged(reference.name, computed, lambda row: f"{frame[row]}", of="of frames ")
+    if kept is None:
+        return reference, remark
     return (
         replace(
             reference,
@@ -98,8 +89,39 @@ def measured(reference: Reference, stamp: Array) -> tuple[Reference, str]:
             position=reference.position[kept],
             pose=None if reference.pose is None else reference.pose[kept],
         ),
-        f"{told}filled in, not measured; nothing is scored by them",
+        remark,
     )
+
+
+def measured_rows(rows: Stamped, name: str) -> tuple[Stamped, str]:
+    """The same for a reference that is known by its rows: those that were measured, and a remark.
+
+    Parameters
+    ----------
+    rows : Stamped
+    name : str
+        Of the reference, as the remark has it.
+    """
+    computed = filled(rows.position, np.arange(float(len(rows))), rows.stamp)
+    kept, remark = _judged(name, computed, lambda row: f"{rows.stamp[row]:.9g}", of="at stamps ")
+    return (rows if kept is None else rows.take(kept)), remark
+
+
+def _judged(
+    name: str, computed: BoolArray, label: Callable[[int], str], *, of: str
+) -> tuple[BoolArray | None, str]:
+    """Rows of a reference that are kept, None for all, and a remark with the labels of a stretch's ends."""
+    if not computed.any():
+        return None, ""
+    stretches = [f"{label(first)} to {label(end - 1)}" for first, end in runs(computed)]
+    shown = ", ".join(stretches[:_SHOWN]) + (" and others" if len(stretches) > _SHOWN else "")
+    told = (
+        f"{name}: {np.count_nonzero(computed)} of {len(computed)} poses, {of}{shown}, lie between others in "
+        "exactly equal steps: "
+    )
+    if computed.mean() > _MOST:
+        return None, f"{told}simulated or interpolated, not measured; they are scored all the same"
+    return ~computed, f"{told}filled in, not measured; nothing is scored by them"
 
 
 def _resolution(values: Array) -> float:
