@@ -49,23 +49,3 @@ def test_a_lag_holds_no_more_tracks_late_than_early_and_gives_all_of_them(monkey
     sequence = dataset.sequence
     used = zip(sequence.frame_of[whole.used].tolist(), sequence.track[whole.used].tolist(), strict=True)
     assert fused == set(used)
-
-
-def test_the_factors_of_a_lag_are_read_only_where_some_are_taken_out():
-    config, dataset = drive(seed=2, frames=30, tracks_in_view=12.0)
-    estimator = BUILD["fixed_lag"](make_problem(config, dataset), {"lag_s": 0.5})
-    engine, read = estimator._solver.engine, []
-
-    class Watched:
-        def __init__(self, solver):
-            self._solver = solver
-
-        def __getattr__(self, name):
-            read.append(name)
-            return getattr(self._solver, name)
-
-    engine._solver = Watched(engine._solver)
-    for frame in dataset.sequence.frames(pixel_sigma(config, dataset)):
-        estimator.process(frame)
-    assert "update" in read
-    assert "getFactors" not in read

@@ -103,9 +103,8 @@ def test_fused_is_used_and_has_a_factor(name, simulated):
     assert set(dataset.sequence.track[result.used]) == set(result.landmarks.track)
     assert not result.gated.any()
     if name in ("isam2", "isam2_norelin", "batch"):
-        held = estimator._solver.engine.factors()
-        stereo = [held.at(slot) for slot in range(held.size()) if held.exists(slot)]
-        stereo = [factor for factor in stereo if isinstance(factor, gtsam.GenericStereoFactor3D)]
+        held = estimator._solver.engine.factors().values()
+        stereo = [factor for factor in held if isinstance(factor, gtsam.GenericStereoFactor3D)]
         # The factors of what has just degenerate are taken out with the next frame.
         assert len(stereo) == result.used.sum() + len(estimator._solver._remove)
 

@@ -1,18 +1,21 @@
 """The incremental solvers of GTSAM behind one interface: the whole graph, or a window of fixed lag."""
 
 import re
-from array import array
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import gtsam
 import numpy as np
 
 from vislam.base.types import Array
 from vislam.estimators.smoother.keys import A, thresholds
+from vislam.estimators.smoother.marginal import collected
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.segments import Segments
+from vislam.estimators.smoother.values import only
+from vislam.estimators.smoother.window import Window
 
 _POSE_SHARE = 0.05
 """A pose that moved by more than this share of the baseline is relinearised, unless the options say it."""
@@ -75,8 +78,8 @@ class Engine(Protocol):
         """
         ...
 
-    def factors(self) -> gtsam.NonlinearFactorGraph:
-        """All factors, by slot; empty where one was taken out."""
+    def factors(self) -> dict[int, gtsam.NonlinearFactor]:
+        """All factors by slot, those of the newest update last."""
         ...
 
     def linearization_point(self) -> gtsam.Values:
@@ -116,19 +119,12 @@ class Engine(Protocol):
         ...
 
 
-class _Read:
-    """Reading of an estimate, which iSAM2 and the fixed-lag smoother answer to the same calls.
+class _Read(ABC):
+    """Reading of an estimate from the tree that has it."""
 
-    Attributes
-    ----------
-    _solver : gtsam.ISAM2 or gtsam.IncrementalFixedLagSmoother
-    """
-
-    _solver: Any
-
-    def linearization_point(self) -> gtsam.Values:
-        """Where the factors were linearised last."""
-        return self._solver.getLinearizationPoint()
+    @abstractmethod
+    def _with(self, *keys: int) -> gtsam.ISAM2:
+        """Tree that has some variables."""
 
     def pose(self, key: int) -> Array:
         """Pose ``(4, 4)``."""
@@ -159,20 +155,20 @@ class _Read:
         """Joint covariance ``(d, d)`` of the errors of variables, in their order; all are different ones."""
         if len(keys) == 1:
             return self.covariance(keys[0])
-        return joint_covariance(self._joint_solver(*keys), keys)
-
-    def _with(self, *keys: int) -> Any:
-        """What GTSAM has estimates of some variables of."""
-        del keys
-        return self._solver
-
-    def _joint_solver(self, *keys: int) -> Any:
-        """What GTSAM has joint covariances of."""
-        return self._with(*keys)
+        return joint_covariance(self._with(*keys), keys)
 
 
-class WholeGraph(_Read):
-    """iSAM2 over the whole drive.
+class _Given(NamedTuple):
+    """What a tree is given with an update."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    parameters: gtsam.ISAM2UpdateParams
+    remove: list[int]
+
+
+class _Ordered(_Read):
+    """iSAM2 that eliminates last what is newest.
 
     The landmarks in view are eliminated last and the newest frame's own variables before them: these are all
     that the next frame ties to, so that an update reaches no further back than what it tells of earlier
@@ -191,13 +187,9 @@ class WholeGraph(_Read):
     update. It tells nothing of the rest. But the others then keep what they have within the tie, and the
     anchor, whose own information is that of the tie alone, takes the loss from there to the drift: seven
     digits in each of the two steps, a few hundred metres at any precision of the last step that occurs.
-
-    What is old leaves the tree for the time of the steps (:mod:`vislam.estimators.smoother.segments`), unless
-    all variables are to be up to date at each step.
     """
 
-    def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
-        self._options = options
+    def __init__(self, parameters: gtsam.ISAM2Params) -> None:
         self._anchored = parameters.getFactorization() == "CHOLESKY"
         # Slot and key of the anchor.
         self._anchor: tuple[int, int] | None = None
@@ -205,8 +197,91 @@ class WholeGraph(_Read):
         self._last = gtsam.KeyGroupMap()
         # Whether to relinearise is said with each update.
         parameters.enableRelinearization = False
-        self._segments = Segments(parameters, cut=options.wildfire_threshold != 0.0)
         self._qr: gtsam.ISAM2 | None = None
+
+    def covariance(self, key: int) -> Array:
+        """Marginal covariance of a variable, which Cholesky may fail to read from a tree that it has made."""
+        try:
+            return super().covariance(key)
+        except IndeterminateError:
+            return _solved(self._by_qr().marginalCovariance, key)
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        """Joint covariance ``(d, d)`` of the errors of variables, likewise."""
+        try:
+            return super().joint_covariance(keys)
+        except IndeterminateError:
+            return joint_covariance(self._by_qr(), keys)
+
+    @abstractmethod
+    def factors(self) -> dict[int, gtsam.NonlinearFactor]:
+        """All factors but the anchor's, by slot."""
+
+    @abstractmethod
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+
+    @abstractmethod
+    def _next_slot(self) -> int:
+        """Slot of the first factor that the next update brings."""
+
+    def _ordered(
+        self,
+        newest: Sequence[int],
+        in_view: Sequence[int],
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        remove: Sequence[int],
+    ) -> _Given:
+        """Put an anchor in front of a frame's factors, and say what is eliminated last."""
+        remove, order = list(remove), [newest[:1], newest[1:], in_view]
+        if self._anchored:
+            remove += [] if self._anchor is None else [self._anchor[0]]
+            graph, values = self._with_anchor(newest[0], graph, values)
+            order.append([A(gtsam.symbolIndex(newest[0]))])
+        order = list(filter(len, order))
+        # What has no group comes first, with group 0; where there is nothing of the kind, as many groups as
+        # variables with another would be one too many.
+        first = 0 if set(graph.keyVector()).issubset(chain(*order)) else 1
+        self._last = gtsam.KeyGroupMap()
+        for group, keys in enumerate(order, start=first):
+            for key in keys:
+                self._last.insert2(key, group)
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.constrainedKeys = self._last
+        return _Given(graph, values, parameters, remove)
+
+    def _with_anchor(
+        self, pose: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        key = A(gtsam.symbolIndex(pose))
+        noise = gtsam.noiseModel.Diagonal.Sigmas(_ANCHOR_SIGMA)
+        all_factors, all_values = gtsam.NonlinearFactorGraph(), gtsam.Values(values)
+        all_factors.add(gtsam.BetweenFactorPose3(pose, key, gtsam.Pose3(), noise))
+        all_factors.push_back(graph)
+        all_values.insert(key, values.atPose3(pose))
+        self._anchor = self._next_slot(), key
+        return all_factors, all_values
+
+    def _by_qr(self) -> gtsam.ISAM2:
+        """Tree by QR of the same factors at the same linearisation point, made once after an update."""
+        if self._qr is None:
+            graph = collected(self.factors().values())
+            self._qr = tree_by_qr(graph, only(self.linearization_point(), graph.keyVector()))
+        return self._qr
+
+
+class WholeGraph(_Ordered):
+    """iSAM2 over the whole drive.
+
+    What is old leaves the tree for the time of the steps (:mod:`vislam.estimators.smoother.segments`), unless
+    all variables are to be up to date at each step.
+    """
+
+    def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
+        super().__init__(parameters)
+        self._options = options
+        self._segments = Segments(parameters, cut=options.wildfire_threshold != 0.0)
         self._resting = gtsam.KeyList()
         self._at_rest: set[int] = set()
 
@@ -224,52 +299,20 @@ class WholeGraph(_Read):
         """Take a frame."""
         del stamps
         self._rest(resting, back=self._at_rest.intersection(in_view))
-        parameters, frame = gtsam.ISAM2UpdateParams(), gtsam.symbolIndex(newest[0])
-        remove, order = list(remove), [newest[:1], newest[1:], in_view]
-        if self._anchored:
-            remove += [] if self._anchor is None else [self._anchor[0]]
-            graph, values = self._with_anchor(newest[0], graph, values)
-            order.append([A(frame)])
-        self._last = last = gtsam.KeyGroupMap()
-        # What has no group comes first, with group 0; at the first frame there is nothing of the kind, and as
-        # many groups as variables with another would be one too many.
-        for group, keys in enumerate(filter(len, order), start=min(frame, 1)):
-            for key in keys:
-                last.insert2(key, group)
-        parameters.constrainedKeys = last
+        given, frame = self._ordered(newest, in_view, graph, values, remove), gtsam.symbolIndex(newest[0])
         # By the frame: an engine that was rebuilt goes on where the one before would have.
         if self._options.relinearises(frame):
-            parameters.force_relinearize = True
-            parameters.noRelinKeys = self._resting
-        slots = self._solve(graph, values, parameters, remove)
+            given.parameters.force_relinearize = True
+            given.parameters.noRelinKeys = self._resting
+        slots = self._solve(*given)
         # What is solved with each step stays, as the first pose where all others are reported by it.
-        if self._segments.cut(self._at_rest, last, self._at_rest.intersection(newest)):
+        if self._segments.cut(self._at_rest, self._last, self._at_rest.intersection(newest)):
             self._set_resting()
         return slots[1:] if self._anchored else slots
 
     def linearization_point(self) -> gtsam.Values:
         """Where the factors were linearised last."""
         return self._segments.linearization_point()
-
-    def covariance(self, key: int) -> Array:
-        """Marginal covariance of a variable, which Cholesky may fail to read from a tree that it has made."""
-        try:
-            return super().covariance(key)
-        except IndeterminateError:
-            return _solved(self._by_qr().marginalCovariance, key)
-
-    def joint_covariance(self, keys: Sequence[int]) -> Array:
-        """Joint covariance ``(d, d)`` of the errors of variables, likewise."""
-        try:
-            return super().joint_covariance(keys)
-        except IndeterminateError:
-            return joint_covariance(self._by_qr(), keys)
-
-    def _by_qr(self) -> gtsam.ISAM2:
-        """Tree by QR of the same factors at the same linearisation point, made once after an update."""
-        if self._qr is None:
-            self._qr = tree_by_qr(self._segments.factors, self.linearization_point())
-        return self._qr
 
     def relinearise(self) -> None:
         """Relinearise once what is not resting."""
@@ -288,12 +331,10 @@ class WholeGraph(_Read):
         self._join()
         self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), everything)
 
-    def factors(self) -> gtsam.NonlinearFactorGraph:
+    def factors(self) -> dict[int, gtsam.NonlinearFactor]:
         """All factors but the anchor's, by slot."""
-        found = gtsam.NonlinearFactorGraph(self._segments.factors)
-        if self._anchor is not None:
-            found.remove(self._anchor[0])
-        return found
+        held, anchor = self._segments.factors, None if self._anchor is None else self._anchor[0]
+        return {slot: held.at(slot) for slot in range(held.size()) if held.exists(slot) and slot != anchor}
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables but the anchor."""
@@ -327,18 +368,8 @@ class WholeGraph(_Read):
         for key in sorted(self._segments.held(self._at_rest)):
             self._resting.push_back(key)
 
-    def _with_anchor(
-        self, pose: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """Put an anchor beside the newest pose, in front of a frame's factors."""
-        key = A(gtsam.symbolIndex(pose))
-        noise = gtsam.noiseModel.Diagonal.Sigmas(_ANCHOR_SIGMA)
-        all_factors, all_values = gtsam.NonlinearFactorGraph(), gtsam.Values(values)
-        all_factors.add(gtsam.BetweenFactorPose3(pose, key, gtsam.Pose3(), noise))
-        all_factors.push_back(graph)
-        all_values.insert(key, values.atPose3(pose))
-        self._anchor = self._segments.factors.size(), key
-        return all_factors, all_values
+    def _next_slot(self) -> int:
+        return self._segments.factors.size()
 
     def _solve(
         self,
@@ -351,24 +382,20 @@ class WholeGraph(_Read):
         return _solved(self._segments.update, graph, values, parameters, remove)
 
 
-class FixedLag(_Read):
-    """GTSAM's incremental fixed-lag smoother: what was last seen before the lag is marginalised.
+class FixedLag(_Ordered):
+    """iSAM2 over a lag: what was last seen before it is marginalised.
 
-    A marginal is a quadratic at the linearisation point at which its factors were eliminated, and cannot be
-    relinearised. Variables that it ties keep that point as long as this solver holds them, in all their other
-    factors, too (``getFixedVariables``): the first-estimates rule, without which the two would have different
-    unobservable directions (Huang, Mourikis and Roumeliotis, IEEE IROS 2011).
+    What leaves (:mod:`vislam.estimators.smoother.window`) does so after the update with the frame by which it
+    is too old, at the linearisation point of that update, as in GTSAM's ``IncrementalFixedLagSmoother``.
     """
 
     def __init__(self, options: SmootherOptions, parameters: gtsam.ISAM2Params) -> None:
-        parameters.enableRelinearization = options.relinearize_every > 0
-        parameters.relinearizeSkip = max(options.relinearize_every, 1)
+        super().__init__(parameters)
         assert options.lag_s is not None
-        self._solver = gtsam.IncrementalFixedLagSmoother(options.lag_s, parameters)
-        # Factors that are given to it have consecutive slots; each update appends marginals behind them.
-        self._marginals, self._end = array("q"), 0
-        # Of an update that failed the factors are the last ones, and their slots are not known.
-        self._unplaced = 0
+        self._options, self._lag = options, options.lag_s
+        self._window = Window(parameters)
+        # When each variable was last seen.
+        self._stamps: dict[int, float] = {}
 
     def update(
         self,
@@ -382,38 +409,47 @@ class FixedLag(_Read):
         remove: Sequence[int],
     ) -> list[int]:
         """Take a frame."""
-        del newest, in_view, resting
-        if remove:
-            # The slot of a factor that has gone into a marginal is empty. To read the factors is to copy all
-            # slots, of which there are the more the longer the sequence is.
-            held = self._solver.getFactors()
-            remove = [slot for slot in remove if held.exists(slot)]
-        self._unplaced = graph.size()
-        _solved(self._solver.update, graph, values, dict(stamps), list(remove))
-        slots = list(self._solver.getISAM2Result().getNewFactorsIndices())
-        self._unplaced = 0
-        if slots:
-            self._marginals.extend(range(self._end, slots[0]))
-            self._end = slots[-1] + 1
-        return slots
+        del resting
+        given = self._ordered(newest, in_view, graph, values, remove)
+        if self._options.relinearises(gtsam.symbolIndex(newest[0])):
+            given.parameters.force_relinearize = True
+            given.parameters.noRelinKeys = gtsam.KeyList()
+            for key in sorted(self._window.fixed):
+                given.parameters.noRelinKeys.push_back(key)
+        self._qr = None
+        slots = _solved(self._window.update, *given)
+        self._stamps.update(stamps)
+        oldest = max(stamps.values()) - self._lag
+        leaving = {key for key, stamp in self._stamps.items() if stamp < oldest}
+        _solved(self._window.leave, leaving)
+        for key in leaving:
+            del self._stamps[key]
+        return slots[1:] if self._anchored else slots
 
-    def _joint_solver(self, *keys: int) -> Any:
-        del keys
-        return _solved(gtsam.Marginals, self._solver.getFactors(), self._solver.getLinearizationPoint())
+    def linearization_point(self) -> gtsam.Values:
+        """Where the factors were linearised last."""
+        return self._window.held(self._window.tree.getLinearizationPoint())
 
-    def factors(self) -> gtsam.NonlinearFactorGraph:
-        """All factors, by slot; marginals with where they are linearised, which this solver alone holds."""
-        found = gtsam.NonlinearFactorGraph(self._solver.getFactors())
-        point = self._solver.getLinearizationPoint()
-        newest = range(self._end, found.size() - self._unplaced)
-        for slot in filter(found.exists, chain(self._marginals, newest)):
-            marginal: Any = found.at(slot)
-            found.replace(slot, gtsam.LinearContainerFactor(marginal.factor(), point))
+    def factors(self) -> dict[int, gtsam.NonlinearFactor]:
+        """All factors but the anchor's, by slot."""
+        found = _solved(self._window.factors)
+        if self._anchor is not None:
+            del found[self._anchor[0]]
         return found
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables in the window."""
-        return _solved(self._solver.calculateEstimate)
+        found = self._window.held(_solved(self._window.tree.calculateBestEstimate))
+        if self._anchor is not None:
+            found.erase(self._anchor[1])
+        return found
+
+    def _with(self, *keys: int) -> gtsam.ISAM2:
+        del keys
+        return self._window.tree
+
+    def _next_slot(self) -> int:
+        return self._window.size
 
 
 def make(

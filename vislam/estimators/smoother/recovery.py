@@ -29,13 +29,13 @@ class _Failure:
     ----------
     error : IndeterminateError
         The newest; each further try that fails brings another.
-    held : gtsam.NonlinearFactorGraph
+    held : mapping of int to gtsam.NonlinearFactor
     point : gtsam.Values
-        Factors and linearisation point of the engine that failed.
+        Factors by slot and linearisation point of the engine that failed.
     """
 
     error: IndeterminateError
-    held: gtsam.NonlinearFactorGraph
+    held: Mapping[int, gtsam.NonlinearFactor]
     point: gtsam.Values
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import gtsam
 
 from vislam.estimators.smoother.keys import is_landmark
+from vislam.estimators.smoother.marginal import collected, marginal
 from vislam.estimators.smoother.values import only, without
 
 _EVERY = 200
@@ -155,10 +156,10 @@ class Segments:
             return False
         point = self._tree.getLinearizationPoint()
         try:
-            marginal = _marginal(_some(held, inside), point, leaving)
-            graph = _some(held, keys.keys() - inside)
+            found = marginal(collected(map(held.at, inside)), point, leaving)
+            graph = collected(map(held.at, keys.keys() - inside))
             kept = graph.size()
-            for factor in marginal:
+            for factor in found:
                 graph.add(factor)
             tree = self._solved(graph, without(point, leaving), last)
         except (RuntimeError, IndexError):
@@ -178,7 +179,7 @@ class Segments:
     def join(self, last: gtsam.KeyGroupMap | None = None) -> None:
         """Bring back all that has left: the whole tree, solved at where its factors were linearised."""
         slots = [slot for slot in range(self.factors.size()) if self.factors.exists(slot)]
-        graph = _some(self.factors, slots)
+        graph = collected(map(self.factors.at, slots))
         values = only(self.linearization_point(), graph.keyVector())
         self._tree = self._solved(graph, values, gtsam.KeyGroupMap() if last is None else last)
         self._left = gtsam.Values()
@@ -225,26 +226,3 @@ def _leaving(
         if slot not in marginals and not frames.isdisjoint(own):
             stay.update(filter(is_landmark, own))
     return set().union(*keys.values()) - stay.union(lasting)
-
-
-def _marginal(
-    graph: gtsam.NonlinearFactorGraph, point: gtsam.Values, leaving: Collection[int]
-) -> list[gtsam.LinearContainerFactor]:
-    """Marginal of a graph, linearised at a point, on what does not leave.
-
-    By QR: what is left of the information on the way from the first pose is little beside that of the last
-    step, and normal equations would lose its digits.
-    """
-    linear = graph.linearize(point)
-    _, rest = linear.eliminatePartialMultifrontal(sorted(leaving), gtsam.EliminateQR)
-    factors = [rest.at(index) for index in range(rest.size()) if rest.exists(index)]
-    return [
-        gtsam.LinearContainerFactor(factor, only(point, factor.keys())) for factor in factors if factor.keys()
-    ]
-
-
-def _some(graph: gtsam.NonlinearFactorGraph, slots: Iterable[int]) -> gtsam.NonlinearFactorGraph:
-    found = gtsam.NonlinearFactorGraph()
-    for slot in slots:
-        found.push_back(graph.at(slot))
-    return found

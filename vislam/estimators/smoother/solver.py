@@ -14,6 +14,7 @@ from vislam.estimators.smoother.engine import Engine, IndeterminateError, WholeG
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.linearity import neglected
+from vislam.estimators.smoother.marginal import collected
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
@@ -169,7 +170,7 @@ class Solver:
             )
         except IndeterminateError:
             # They are in the solver all the same, behind all others.
-            _place(owners, range(self.engine.factors().size()))
+            _place(owners, list(self.engine.factors()))
             raise
         _place(owners, slots)
         self._read(frame)
@@ -313,7 +314,7 @@ class Solver:
     def rebuild(
         self,
         frame: Frame,
-        held: gtsam.NonlinearFactorGraph,
+        held: Mapping[int, gtsam.NonlinearFactor],
         point: gtsam.Values,
         poses: Mapping[int, Array],
     ) -> None:
@@ -323,7 +324,7 @@ class Solver:
         ----------
         frame : Frame
             The newest.
-        held : gtsam.NonlinearFactorGraph
+        held : mapping of int to gtsam.NonlinearFactor
             The factors, by slot.
         point : gtsam.Values
             Where they are linearised.
@@ -336,10 +337,8 @@ class Solver:
             If GTSAM cannot solve it; the tracks are as before.
         """
         gone = set(self._remove)
-        kept = [slot for slot in range(held.size()) if held.exists(slot) and slot not in gone]
-        graph = gtsam.NonlinearFactorGraph()
-        for slot in kept:
-            graph.push_back(held.at(slot))
+        kept = [slot for slot in held if slot not in gone]
+        graph = collected(held[slot] for slot in kept)
         values = only(point, graph.keyVector())
         for k in self.held():
             if k in poses:
