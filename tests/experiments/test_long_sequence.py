@@ -10,8 +10,9 @@ def test_each_part_has_its_time_and_the_rest_is_one_of_its_own(capsys):
     lines = capsys.readouterr().out.splitlines()
     rows = [[float(cell) for cell in line.strip("| ").split("|")] for line in lines if line[2:3].isdigit()]
     assert [row[0] for row in rows] == [10, 20, 25]
-    for _, mean, median, slowest, _ in rows:
+    for _, mean, median, slowest, new, _ in rows:
         assert 0.0 < median <= slowest
+        assert new > 0.0
         assert mean <= slowest
     assert any(line.startswith("end: ") for line in lines)
 
