@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from experiments.timing import Drive, Part, milliseconds
 from vislam.base.types import Array
 from vislam.core.step import Final
-from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engine
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions, engine, tree
 
 RUNS = {
     "isam2": SmootherOptions(),
@@ -97,7 +97,8 @@ def _counted() -> Iterator[Inside]:
     inside = Inside()
     kind = engine.WholeGraph
     with (
-        patch.object(engine, "_solved", inside.counting(engine._solved)),
+        patch(f"{engine.__name__}.solved", inside.counting(tree.solved)),
+        patch(f"{tree.__name__}.solved", inside.counting(tree.solved)),
         patch.object(kind, "points", inside.counting(kind.points)),
     ):
         yield inside

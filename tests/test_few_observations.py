@@ -10,7 +10,8 @@ from tests.smoother.drives import drive
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.core.estimator import find
 from vislam.estimators.loop import run
-from vislam.estimators.smoother.engine import IndeterminateError, WholeGraph
+from vislam.estimators.smoother.engine import WholeGraph
+from vislam.estimators.smoother.tree import IndeterminateError
 
 NAMES = ("ekf", "ekf_invariant", "ekf_fej", "eks", "msckf", "isam2", "fixed_lag", "batch")
 

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import gtsam
 
-from vislam.estimators.smoother.engine import _Read, _solved
 from vislam.estimators.smoother.options import SmootherOptions
+from vislam.estimators.smoother.tree import Reading, solved
 
 
-class GtsamLag(_Read):
+class GtsamLag(Reading):
     """``IncrementalFixedLagSmoother``, which eliminates what leaves with each update.
 
     Ours is exchanged for it by ``monkeypatch.setattr(engine, "FixedLag", GtsamLag)``. Its factors cannot be
@@ -34,7 +34,7 @@ class GtsamLag(_Read):
         """Take a frame."""
         held = self._solver.getFactors()
         remove = [slot for slot in remove if held.exists(slot)]
-        _solved(self._solver.update, graph, values, dict(stamps), remove)
+        solved(self._solver.update, graph, values, dict(stamps), remove)
         return list(self._solver.getISAM2Result().getNewFactorsIndices())
 
     def linearization_point(self) -> gtsam.Values:
@@ -43,7 +43,7 @@ class GtsamLag(_Read):
 
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables in the window."""
-        return _solved(self._solver.calculateEstimate)
+        return solved(self._solver.calculateEstimate)
 
     def _with(self, *keys: int):
         return self._solver if len(keys) == 1 else self._solver.getISAM2()

@@ -15,9 +15,9 @@ from vislam.comparison.open import open_dataset
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.linearity import neglected
 from vislam.estimators.smoother.tracks import Track, View
+from vislam.estimators.smoother.tree import IndeterminateError
 from vislam.geometry import se3
 
 FAR = np.array([12.0, 3.0, 1.0])

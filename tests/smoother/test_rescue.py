@@ -11,7 +11,7 @@ from tests.smoother.drives import BUILD, ate, drive, gap, member
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.engine import IndeterminateError
+from vislam.estimators.smoother.tree import IndeterminateError
 from vislam.repair.tracks import Interruptions
 
 FRAMES = 30

@@ -11,7 +11,6 @@ from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother.descent import Budget, Descent, descend
-from vislam.estimators.smoother.engine import joint_covariance, tree_by_qr
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.motion import Motion
@@ -19,6 +18,7 @@ from vislam.estimators.smoother.observations import Linearised, Observations
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
 from vislam.estimators.smoother.tracks import Track, locate
+from vislam.estimators.smoother.tree import joint_covariance, tree_by_qr
 from vislam.estimators.smoother.values import only
 from vislam.models import StereoRig
 

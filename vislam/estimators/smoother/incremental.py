@@ -18,7 +18,6 @@ from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.between import Between
 from vislam.estimators.smoother.descent import Budget, Tell
-from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.options import SmootherOptions
@@ -26,6 +25,7 @@ from vislam.estimators.smoother.recovery import Recovery
 from vislam.estimators.smoother.restart import restarted
 from vislam.estimators.smoother.solver import Solver, shared_keys
 from vislam.estimators.smoother.tracks import Track
+from vislam.estimators.smoother.tree import IndeterminateError
 from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.models.inertial_gap import InertialState
 from vislam.models.kernel import kernel_name

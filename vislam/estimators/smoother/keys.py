@@ -4,7 +4,7 @@
 that nothing else asks for (see :mod:`vislam.estimators.smoother.motion`), ``B(k)`` the twist of the body
 itself, where it is supposed to move smoothly (by raw inertia ``V(k)`` is the velocity and ``B(k)`` both
 biases: :mod:`vislam.estimators.smoother.inertial`), ``H(k)`` the height as the vertical velocity has led, and
-``A(k)`` the anchor beside a pose (see :class:`vislam.estimators.smoother.engine.WholeGraph`). Errors that all
+``A(k)`` the anchor beside a pose (see :class:`vislam.estimators.smoother.tree.Ordered`). Errors that all
 tracks share have an index of 0 where they are constant, and that of the frame where they walk: ``C`` what is
 left of the clock offset, ``D`` the direction of the velocity in the body, ``Y`` the rotation of the cameras
 (:mod:`vislam.estimators.smoother.twist_errors`), ``F`` and ``G`` the calibrations of the left and the right

@@ -8,10 +8,10 @@ import gtsam
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array
 from vislam.core.frame import Frame
-from vislam.estimators.smoother.engine import IndeterminateError
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.solver import Solver
 from vislam.estimators.smoother.tracks import Track
+from vislam.estimators.smoother.tree import IndeterminateError
 from vislam.geometry import se3
 from vislam.models import StereoRig
 

@@ -10,7 +10,7 @@ import numpy as np
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
 from vislam.estimators.smoother import engine
-from vislam.estimators.smoother.engine import Engine, IndeterminateError, WholeGraph
+from vislam.estimators.smoother.engine import Engine, WholeGraph
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X, is_landmark
 from vislam.estimators.smoother.linearity import neglected
@@ -18,6 +18,7 @@ from vislam.estimators.smoother.marginal import collected
 from vislam.estimators.smoother.motion import Motion, newest
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.tracks import Track, Tracks
+from vislam.estimators.smoother.tree import IndeterminateError
 from vislam.estimators.smoother.values import only
 from vislam.estimators.smoother.world import GraphCovariances, Origin, ReportedWorld
 from vislam.geometry import se3
