@@ -36,6 +36,7 @@ INERTIAL = (
     "tests/smoother/test_inertial.py",
     "tests/sensors/test_preintegration.py",
 )
+WINDOW = ("tests/smoother/test_window.py",)
 MODELS = ("tests/sensors", "tests/ekf", "tests/geometry")
 MUTATIONS = (
     Mutation(
@@ -267,6 +268,34 @@ MUTATIONS = (
         "np.sqrt(frame.dt) * self._noise.walk",
         "frame.dt * self._noise.walk",
         SMOOTHER,
+    ),
+    Mutation(
+        "a variable tied by a marginal is relinearised",
+        "vislam/estimators/smoother/window.py",
+        "self.fixed.update(self._factors[number].keys())",
+        "self.fixed.update(leaving)",
+        WINDOW,
+    ),
+    Mutation(
+        "factors of what has left can be taken out",
+        "vislam/estimators/smoother/window.py",
+        "number in self._slots and not self._leaves(number)",
+        "number in self._slots",
+        WINDOW,
+    ),
+    Mutation(
+        "what has left is eliminated and stays as well",
+        "vislam/estimators/smoother/window.py",
+        "self._emptied + [self._slots[number] for number in taken]",
+        "[self._slots[number] for number in taken]",
+        WINDOW,
+    ),
+    Mutation(
+        "a lag without its anchor",
+        "vislam/estimators/smoother/tree.py",
+        'self._anchored = parameters.getFactorization() == "CHOLESKY"',
+        "self._anchored = False",
+        ("tests/smoother/test_rescue.py",),
     ),
 )
 
