@@ -211,3 +211,27 @@ def test_what_is_tied_to_poses_of_all_times_stays():
     # More than half of the poses rest, but in pieces between those that have seen what is in view.
     assert not parted.cut(resting, last)
     assert parted.whole
+
+
+def test_factors_that_stay_are_found_again(monkeypatch):
+    """Of 6,345 factors on a chain the last 400 stay, and those that are taken out then are the right ones."""
+    monkeypatch.setattr(segments, "_EVERY", 1)
+    tree, length, stays = Segments(parameters()), 6344, 400
+    noise = gtsam.noiseModel.Unit.Create(1)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorVector(0, np.zeros(1), noise))
+    for key in range(length + 1):
+        values.insert(key, np.zeros(1))
+    for key in range(length):
+        graph.add(gtsam.BetweenFactorVector(key, key + 1, np.ones(1), noise))
+    slots = tree.update(graph, values, gtsam.ISAM2UpdateParams())
+    assert tree.cut(range(length - stays), gtsam.KeyGroupMap())
+    # One step from each variable to the next is stated again, ten times as long, and the first one taken out.
+    for key in range(length - stays + 10, length, 50):
+        again = gtsam.NonlinearFactorGraph()
+        again.add(gtsam.BetweenFactorVector(key, key + 1, np.full(1, 10.0), noise))
+        tree.update(again, gtsam.Values(), gtsam.ISAM2UpdateParams(), [slots[key + 1]])
+        assert not tree.whole
+    long = len(range(length - stays + 10, length, 50))
+    found = tree.tree([length]).calculateEstimateVector(length)
+    assert found == pytest.approx(length + 9.0 * long)

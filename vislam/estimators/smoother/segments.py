@@ -157,7 +157,8 @@ class Segments:
         point = self._tree.getLinearizationPoint()
         try:
             found = marginal(collected(map(held.at, inside)), point, leaving)
-            graph = collected(map(held.at, keys.keys() - inside))
+            stay = [slot for slot in keys if slot not in inside]
+            graph = collected(map(held.at, stay))
             kept = graph.size()
             for factor in found:
                 graph.add(factor)
@@ -166,7 +167,6 @@ class Segments:
             self._wait = 2 * self._updates
             return False
         back = {own: slot for slot, own in self._slots().items()}
-        stay = [slot for slot in keys if slot not in inside]
         moved = {back[slot]: place for place, slot in enumerate(stay) if slot in back}
         marginals = set(range(kept, graph.size()))
         marginals |= {place for place, slot in enumerate(stay) if slot in self._place.marginals}
