@@ -272,7 +272,7 @@ MUTATIONS = (
     Mutation(
         "a variable tied by a marginal is relinearised",
         "vislam/estimators/smoother/window.py",
-        "self.fixed.update(self._factors[number].keys())",
+        "self.fixed.update(self.factors[number].keys())",
         "self.fixed.update(leaving)",
         WINDOW,
     ),
@@ -286,8 +286,8 @@ MUTATIONS = (
     Mutation(
         "what has left is eliminated and stays as well",
         "vislam/estimators/smoother/window.py",
-        "self._emptied + [self._slots[number] for number in taken]",
-        "[self._slots[number] for number in taken]",
+        "self._emptied + parameters.removeFactorIndices",
+        "parameters.removeFactorIndices",
         WINDOW,
     ),
     Mutation(

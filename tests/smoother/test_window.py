@@ -160,7 +160,7 @@ def test_a_window_holds_no_more_late_than_early(monkeypatch):
 
     def counted(self, *given):
         numbers = update(self, *given)
-        parts = (self._factors, self._slots, self._of, self.fixed)
+        parts = (self.factors, self._slots, self._of, self.fixed)
         values, slots = self.tree.getLinearizationPoint(), self.tree.getFactorsUnsafe()
         sizes.append([*map(len, parts), values.size(), slots.size(), len(set(self._slots.values()))])
         return numbers

@@ -260,7 +260,9 @@ class FixedLag(Ordered):
 
     def factors(self) -> dict[int, gtsam.NonlinearFactor]:
         """All factors but the anchor's, by slot."""
-        found = solved(self._window.factors)
+        solved(self._window.eliminate)
+        # Marginals first.
+        found = dict(sorted(self._window.factors.items()))
         if self._anchor is not None:
             del found[self._anchor[0]]
         return found

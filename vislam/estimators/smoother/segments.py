@@ -11,42 +11,17 @@ linearisation points are kept, and what needs all of them has the whole tree aga
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import gtsam
 
 from vislam.estimators.smoother.keys import is_landmark
-from vislam.estimators.smoother.marginal import collected, marginal
+from vislam.estimators.smoother.numbered import NumberedTree
 from vislam.estimators.smoother.values import only, without
 
 _EVERY = 200
 """Updates between two cuts."""
 _TIED = 2
 """Variables that what leaves may be tied to, as a multiple of those that a frame is tied to."""
-
-
-@dataclass
-class _Place:
-    """Where factors are in a tree.
-
-    Attributes
-    ----------
-    of : dict of int to int
-        Slot in the tree by the slot among all, of those before ``first``.
-    first, offset : int
-        Those from ``first`` on are ``offset`` further back in the tree.
-    marginals : set of int
-        Slots in the tree of marginals of what has left it.
-    """
-
-    of: dict[int, int] = field(default_factory=dict)
-    first: int = 0
-    offset: int = 0
-    marginals: set[int] = field(default_factory=set)
-
-    def find(self, slot: int) -> int | None:
-        """Slot in the tree; None if the factor has left it."""
-        return slot - self.offset if slot >= self.first else self.of.get(slot)
 
 
 class Segments:
@@ -65,12 +40,11 @@ class Segments:
     """
 
     def __init__(self, parameters: gtsam.ISAM2Params, *, cut: bool = True) -> None:
-        self._parameters, self._cuts = parameters, cut
-        self._tree = gtsam.ISAM2(parameters)
+        self._cuts = cut
+        self._numbered = NumberedTree(parameters)
         self.factors = gtsam.NonlinearFactorGraph()
         # Where those are linearised that have left.
         self._left = gtsam.Values()
-        self._place = _Place()
         self._updates, self._wait = 0, _EVERY
 
     @property
@@ -80,9 +54,9 @@ class Segments:
 
     def tree(self, keys: Iterable[int]) -> gtsam.ISAM2:
         """Tree that has some variables: that of the newest segment, or the whole one."""
-        if not self.whole and not all(map(self._tree.valueExists, keys)):
+        if not self.whole and not all(map(self._numbered.tree.valueExists, keys)):
             self.join()
-        return self._tree
+        return self._numbered.tree
 
     def update(
         self,
@@ -104,24 +78,21 @@ class Segments:
         """
         if not self.whole:
             known = (key for key in graph.keyVector() if not values.exists(key))
-            if any(map(self._left.exists, known)) or None in map(self._place.find, remove):
+            if any(map(self._left.exists, known)) or not self._numbered.factors.keys() >= set(remove):
                 self.join()
-        places = map(self._place.find, remove)
-        parameters.removeFactorIndices = [place for place in places if place is not None]
         for slot in remove:
             self.factors.remove(slot)
-        first = self.factors.size()
         self.factors.push_back(graph)
         self._updates += 1
-        self._tree.update(graph, values, parameters)
-        return list(range(first, self.factors.size()))
+        held = [slot for slot in remove if slot in self._numbered.factors]
+        return self._numbered.update(graph, values, parameters, held)
 
     def linearization_point(self) -> gtsam.Values:
         """Where the factors were linearised last."""
         if self.whole:
-            return self._tree.getLinearizationPoint()
+            return self._numbered.tree.getLinearizationPoint()
         found = gtsam.Values(self._left)
-        found.insert(self._tree.getLinearizationPoint())
+        found.insert(self._numbered.tree.getLinearizationPoint())
         return found
 
     def cut(
@@ -140,70 +111,44 @@ class Segments:
         """
         if not self._cuts or self._updates < self._wait:
             return False
-        held = self._tree.getFactorsUnsafe()
-        keys = {slot: held.at(slot).keys() for slot in range(held.size()) if held.exists(slot)}
-        leaving = _leaving(keys, resting, self._place.marginals, lasting)
+        keys = {slot: factor.keys() for slot, factor in self._numbered.factors.items()}
+        leaving = _leaving(keys, resting, {slot for slot in keys if slot < 0}, lasting)
         if 2 * len(leaving) < len(set().union(*keys.values())):
             # Long tracks, or errors that all observations share: looked at again after twice the time.
             self._wait = 2 * self._updates
             return False
-        inside = {slot for slot, own in keys.items() if not leaving.isdisjoint(own)}
+        inside = self._numbered.touching(leaving)
         tied = set().union(*(keys[slot] for slot in inside)) - leaving
         if len(tied) > _TIED * (last.size() + 1):
             # Their marginal would be one dense factor of all these: landmarks that come back are tied to
             # poses of all times.
             self._wait = 2 * self._updates
             return False
-        point = self._tree.getLinearizationPoint()
+        point = self._numbered.tree.getLinearizationPoint()
         try:
-            found = marginal(collected(map(held.at, inside)), point, leaving)
-            stay = [slot for slot in keys if slot not in inside]
-            graph = collected(map(held.at, stay))
-            kept = graph.size()
-            for factor in found:
-                graph.add(factor)
-            tree = self._solved(graph, without(point, leaving), last)
+            graph = {slot: factor for slot, factor in self._numbered.factors.items() if slot not in inside}
+            graph |= self._numbered.marginal(leaving)
+            tree = self._numbered.solved(graph, without(point, leaving), last)
         except (RuntimeError, IndexError):
             self._wait = 2 * self._updates
             return False
-        back = {own: slot for slot, own in self._slots().items()}
-        moved = {back[slot]: place for place, slot in enumerate(stay) if slot in back}
-        marginals = set(range(kept, graph.size()))
-        marginals |= {place for place, slot in enumerate(stay) if slot in self._place.marginals}
         self._left.insert(only(point, leaving))
-        self._tree = tree
-        self._place = _Place(moved, self.factors.size(), self.factors.size() - graph.size(), marginals)
+        self._numbered = tree
         self._updates, self._wait = 0, _EVERY
         return True
 
     def join(self, last: gtsam.KeyGroupMap | None = None) -> None:
         """Bring back all that has left: the whole tree, solved at where its factors were linearised."""
-        slots = [slot for slot in range(self.factors.size()) if self.factors.exists(slot)]
-        graph = collected(map(self.factors.at, slots))
-        values = only(self.linearization_point(), graph.keyVector())
-        self._tree = self._solved(graph, values, gtsam.KeyGroupMap() if last is None else last)
+        slots = filter(self.factors.exists, range(self.factors.size()))
+        held = {slot: self.factors.at(slot) for slot in slots}
+        values = only(self.linearization_point(), self.factors.keyVector())
+        self._numbered = self._numbered.solved(held, values, gtsam.KeyGroupMap() if last is None else last)
         self._left = gtsam.Values()
-        moved = {slot: place for place, slot in enumerate(slots)}
-        self._place = _Place(moved, self.factors.size(), self.factors.size() - graph.size())
         self._updates = 0
 
     def held(self, keys: Iterable[int]) -> Iterator[int]:
         """Those of some variables that have not left."""
         return (key for key in keys if not self._left.exists(key))
-
-    def _slots(self) -> dict[int, int]:
-        """Slot in the tree by slot among all, of those that have not left."""
-        place = self._place
-        later = range(place.first, self.factors.size())
-        return place.of | {slot: slot - place.offset for slot in later}
-
-    def _solved(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, last: gtsam.KeyGroupMap
-    ) -> gtsam.ISAM2:
-        tree, parameters = gtsam.ISAM2(self._parameters), gtsam.ISAM2UpdateParams()
-        parameters.constrainedKeys = last
-        tree.update(graph, values, parameters)
-        return tree
 
 
 def _leaving(

@@ -17,17 +17,19 @@ from collections.abc import Collection, Sequence
 
 import gtsam
 
-from vislam.estimators.smoother.marginal import collected, marginal
+from vislam.estimators.smoother.marginal import collected
+from vislam.estimators.smoother.numbered import NumberedTree
 from vislam.estimators.smoother.values import only
 
 _EVERY = 20
 """Updates between two eliminations of what has left."""
 
 
-class Window:
-    """iSAM2 whose factors have numbers, which are not given again, and whose variables leave.
+class Window(NumberedTree):
+    """iSAM2 whose variables leave.
 
-    GTSAM's slots are given again, so that there are no more of them than the window has factors.
+    GTSAM's slots are given again, so that there are no more of them than the window has factors. The tree has
+    what has left and is not eliminated yet.
 
     Parameters
     ----------
@@ -35,28 +37,17 @@ class Window:
 
     Attributes
     ----------
-    tree : gtsam.ISAM2
-        With what has left and is not eliminated yet.
-    size : int
-        The next number of a factor that is given.
     fixed : set of int
         Variables that keep their linearisation point: what a marginal ties, and what has left.
     """
 
     def __init__(self, parameters: gtsam.ISAM2Params) -> None:
         parameters.findUnusedFactorSlots = True
-        self.tree = gtsam.ISAM2(parameters)
-        self.size = 0
+        super().__init__(parameters)
         self.fixed: set[int] = set()
-        self._factors: dict[int, gtsam.NonlinearFactor] = {}
-        # Slot in the tree by number, but for marginals that the next update will bring.
-        self._slots: dict[int, int] = {}
+        # Marginals that the next update will bring, and slots that it will empty.
         self._new_marginals: list[int] = []
-        # Slots that it will empty.
         self._emptied: list[int] = []
-        self._marginals = 0
-        # Numbers of the factors of each variable.
-        self._of: dict[int, set[int]] = {}
         # What has left and is not eliminated.
         self._left: set[int] = set()
         self._updates = 0
@@ -68,31 +59,9 @@ class Window:
         parameters: gtsam.ISAM2UpdateParams,
         remove: Sequence[int] = (),
     ) -> list[int]:
-        """Update the tree; returns the numbers of the new factors.
-
-        Parameters
-        ----------
-        graph, values
-            New factors, and first values of new variables.
-        parameters : gtsam.ISAM2UpdateParams
-            All but the factors to remove.
-        remove : sequence of int
-            Their numbers; of factors that have gone into a marginal, or will, nothing is removed.
-        """
+        """Update the tree; of factors that have gone into a marginal, or will, nothing is removed."""
         taken = [number for number in remove if number in self._slots and not self._leaves(number)]
-        parameters.removeFactorIndices = self._emptied + [self._slots[number] for number in taken]
-        for number in taken:
-            self._forget(number)
-        all_factors = collected(self._factors[number] for number in self._new_marginals)
-        all_factors.push_back(graph)
-        numbers = list(range(self.size, self.size + graph.size()))
-        self.size += graph.size()
-        for place, number in enumerate(numbers):
-            self._note(number, graph.at(place))
-        result = self.tree.update(all_factors, values, parameters)
-        placed = zip(self._new_marginals + numbers, result.getNewFactorsIndices(), strict=True)
-        self._slots.update(placed)
-        self._new_marginals, self._emptied = [], []
+        numbers = super().update(graph, values, parameters, taken)
         self.fixed.intersection_update(self._of)
         self._updates += 1
         return numbers
@@ -107,52 +76,41 @@ class Window:
         """
         leaving = self._of.keys() & keys
         self._left |= leaving
-        for number in self._touching(leaving):
-            self.fixed.update(self._factors[number].keys())
+        for number in self.touching(leaving):
+            self.fixed.update(self.factors[number].keys())
         if self._updates % _EVERY == 0:
-            self._eliminate()
+            self.eliminate()
 
-    def factors(self) -> dict[int, gtsam.NonlinearFactor]:
-        """All factors by number, with the marginals of all that has left; those of marginals are negative."""
-        self._eliminate()
-        return dict(sorted(self._factors.items()))
+    def eliminate(self) -> None:
+        """Put marginals in the place of what has left; the tree gets them with the next update."""
+        if not self._left:
+            return
+        inside, found = self.touching(self._left), self.marginal(self._left)
+        # All of them are in the tree: no factor is given to what has left.
+        self._emptied += [self._slots[number] for number in inside]
+        for number, factor in found.items():
+            self._note(number, factor)
+        self._new_marginals += found
+        for number in inside:
+            self._forget(number)
+        self._left = set()
 
     def held(self, values: gtsam.Values) -> gtsam.Values:
         """Those of some values that are of variables which have not left."""
         return only(values, self._of.keys() - self._left)
 
-    def _eliminate(self) -> None:
-        """Put marginals in the place of what has left; the tree gets them with the next update."""
-        inside = sorted(self._touching(self._left))
-        if not inside:
-            return
-        graph = collected(self._factors[number] for number in inside)
-        # All of them are in the tree: no factor is given to what has left.
-        self._emptied += [self._slots[number] for number in inside]
-        for factor in marginal(graph, self.tree.getLinearizationPoint(), self._left):
-            self._marginals += 1
-            self._note(-self._marginals, factor)
-            self._new_marginals.append(-self._marginals)
-        for number in inside:
-            self._forget(number)
-        self._left = set()
-
-    def _touching(self, keys: Collection[int]) -> set[int]:
-        """Numbers of all factors of some variables."""
-        return set().union(*(self._of[key] for key in keys))
+    def _solve(
+        self,
+        numbers: Sequence[int],
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        parameters: gtsam.ISAM2UpdateParams,
+    ) -> None:
+        all_factors = collected(self.factors[number] for number in self._new_marginals)
+        all_factors.push_back(graph)
+        parameters.removeFactorIndices = self._emptied + parameters.removeFactorIndices
+        super()._solve([*self._new_marginals, *numbers], all_factors, values, parameters)
+        self._new_marginals, self._emptied = [], []
 
     def _leaves(self, number: int) -> bool:
-        return not self._left.isdisjoint(self._factors[number].keys())
-
-    def _note(self, number: int, factor: gtsam.NonlinearFactor) -> None:
-        self._factors[number] = factor
-        for key in list(factor.keys()):
-            self._of.setdefault(key, set()).add(number)
-
-    def _forget(self, number: int) -> None:
-        """Forget a factor, and the variables that have no other."""
-        del self._slots[number]
-        for key in list(self._factors.pop(number).keys()):
-            self._of[key].discard(number)
-            if not self._of[key]:
-                del self._of[key]
+        return not self._left.isdisjoint(self.factors[number].keys())
