@@ -120,7 +120,7 @@ def test_marginals_that_cholesky_refuses_come_from_qr(monkeypatch):
     def refuse(*_, **__):
         raise np.linalg.LinAlgError("the information is not positive definite")
 
-    monkeypatch.setattr(batch, "DriveSystem", refuse)
+    monkeypatch.setattr(batch.Drive, "system", refuse)
     other = member("isam2", config, dataset, marginals="all")
     assert relative(other.final.covariances, usual.final.covariances) < 1e-6
     assert relative(other.landmarks.points_cov, usual.landmarks.points_cov) < 1e-6

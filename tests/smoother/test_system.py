@@ -6,15 +6,17 @@ import gtsam
 import numpy as np
 import pytest
 
-from tests.smoother.drives import BUILD, drive
+from tests.smoother.drives import drive
 from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import KernelConfig, VerticalVelocityConfig
+from vislam.comparison.config import KernelConfig, SharedWalkConfig, VerticalVelocityConfig
 from vislam.comparison.open import open_dataset
 from vislam.estimators.loop import run
-from vislam.estimators.smoother import batch
+from vislam.estimators.smoother import SmootherEstimator, SmootherOptions
+from vislam.estimators.smoother.engine import tree_by_qr
 from vislam.estimators.smoother.keys import X
+from vislam.estimators.smoother.layout import Variables, longest_eliminated
 from vislam.estimators.smoother.observations import Observations
-from vislam.estimators.smoother.system import Marginals, Others, longest_eliminated
+from vislam.estimators.smoother.values import only
 
 SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
 CASES = {
@@ -22,50 +24,59 @@ CASES = {
     "long": {"loss_probability": 0.0, "depth_min": 20.0, "speed": 2.0},
     "all_that_is_estimated": {"navigation_frame_velocity": True, "hills_m": 10.0},
     "kernel": {"outlier_probability": 0.05},
+    "constant": {"loss_probability": 0.2},
+    "walking": {"loss_probability": 0.2},
 }
 MORE = {
-    "vertical_velocity": VerticalVelocityConfig(walk=0.02),
-    "acceleration_density": SMOOTH,
-    "velocity_direction_sigma": 0.02,
+    "all_that_is_estimated": {
+        "vertical_velocity": VerticalVelocityConfig(walk=0.02),
+        "acceleration_density": SMOOTH,
+        "velocity_direction_sigma": 0.02,
+    },
+    "constant": {"clock_sigma": 0.01, "camera_rotation_sigma": 0.01, "velocity_direction_sigma": 0.02},
+    "walking": {
+        "clock_sigma": 0.01,
+        "camera_rotation_sigma": 0.01,
+        "shared_walk": SharedWalkConfig(clock=0.001, camera_rotation=0.001),
+    },
 }
 
 
-@pytest.fixture(params=CASES)
-def case(request, monkeypatch):
-    """A drive, and an estimate of it that is not relinearised in the end."""
-    name, kept = request.param, []
-    config, dataset = drive(seed=5, frames=22, tracks_in_view=15, **CASES[name])
+def ended(name, frames):
+    """The problem of a drive, and an estimate of it that is not relinearised in the end."""
+    config, dataset = drive(seed=5, frames=frames, tracks_in_view=15, **CASES[name])
     if name == "all_that_is_estimated":
         data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
-        config = replace(config, data=data, noise=replace(config.noise, **MORE))
+        config = replace(config, data=data)
         dataset = open_dataset(data, seed=5)
+    config = replace(config, noise=replace(config.noise, **MORE.get(name, {})))
     if name == "kernel":
         config = replace(config, kernel=KernelConfig())
-    monkeypatch.setattr(
-        batch.Drive,
-        "marginals",
-        lambda self, values, shared, *, landmarks: kept.append((self, values)) or none(self),
-    )
-    estimator = BUILD["isam2"](make_problem(config, dataset), {"marginals": "all", "final": "as_is"})
+    kept = []
+
+    class Kept(SmootherEstimator):
+        def _finish(self, drive):
+            kept.append((drive, super()._finish(drive)))
+            return kept[-1][1]
+
+    estimator = Kept(make_problem(config, dataset), SmootherOptions(final="as_is"))
     assert run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2").complete
-    monkeypatch.undo()
     return kept[0]
 
 
-def none(held):
-    frames, tracks = len(held.frames), len(held.tracks)
-    sizes = ((frames, 6, 6), (tracks, 3, 3), (frames, 6, 6), (tracks, 3, 6), (6, 6, 6))
-    found = Marginals(*(np.broadcast_to(np.eye(*size[1:]), size) for size in sizes))
-    return replace(found, shared=np.eye(6))
+@pytest.fixture(params=CASES)
+def case(request):
+    """A problem and an estimate of it."""
+    return ended(request.param, 22)
 
 
 def test_a_step_is_gtsams_on_the_same_graph(case):
     held, values = case
-    wanted = held.graph().linearize(values).optimize()
+    wanted = held.graph().linearize(values).optimize(gtsam.EliminateQR)
     states, points = held.system(values).step()
-    others = Others.of(held.without_tracks(), values)
+    variables = Variables.of(held.without_tracks(), values)
     scale = max(np.abs(states).max(), np.abs(points).max())
-    for key, start, end in zip(others.keys, others.start, others.start[1:], strict=False):
+    for key, start, end in zip(variables.keys, variables.start, variables.start[1:], strict=False):
         assert np.allclose(states[start:end], wanted.at(key), rtol=0.0, atol=1e-7 * scale)
     found = np.array([wanted.at(track.key) for track in held.tracks])
     assert np.allclose(points, found, rtol=0.0, atol=1e-7 * scale)
@@ -73,7 +84,7 @@ def test_a_step_is_gtsams_on_the_same_graph(case):
 
 def test_covariances_are_gtsams_and_so_are_those_with_the_first_pose(case):
     held, values = case
-    solver = gtsam.Marginals(held.graph(), values)
+    solver = tree_by_qr(held.graph(), values)
     found = held.marginals(values, [X(0)])
     first = np.sqrt(np.diagonal(solver.marginalCovariance(X(0))))
     poses, tracks = [X(k) for k in range(len(held.frames))], [track.key for track in held.tracks]
@@ -92,6 +103,52 @@ def test_covariances_are_gtsams_and_so_are_those_with_the_first_pose(case):
                 cross = solver.jointMarginalCovariance([X(0), key]).at(key, X(0))
                 scale = np.outer(sigma, first)
                 assert np.allclose(mixed[index] / scale, cross / scale, atol=1e-7)
+
+
+def test_the_cost_is_that_of_the_graph_behind_a_camera_too(case):
+    held, values = case
+    cam = held.poses(values)[held.tracks[0].views[0].k] @ held.rig.imu_T_cam
+    moved = gtsam.Values(values)
+    moved.update(held.tracks[0].key, cam[:3, 3] - 5.0 * cam[:3, 2])
+    objective = held.objective(values)
+    for each in (values, moved):
+        assert np.isclose(objective.cost(objective.estimate(each)), held.graph().error(each), rtol=1e-12)
+
+
+def test_an_estimate_and_a_step_of_it_are_gtsams_values(case):
+    held, values = case
+    linear = held.graph().linearize(values)
+    step = linear.optimize(gtsam.EliminateQR)
+    variables, objective = Variables.of(held.without_tracks(), values), held.objective(values)
+    states = np.concatenate([step.at(key) for key in variables.keys])
+    points = np.array([step.at(track.key) for track in held.tracks])
+    estimate = objective.estimate(values)
+    assert objective.values(estimate).equals(only(values, held.graph().keyVector()), 0.0)
+    wanted = only(values, held.graph().keyVector()).retract(step)
+    assert objective.values(objective.moved(estimate, states, points)).equals(wanted, 1e-12)
+    equations = objective.equations(estimate)
+    fall = linear.error(values.zeroVectors()) - linear.error(step)
+    assert np.isclose(equations.fall(states, points, 0.0), fall, rtol=1e-6)
+
+
+def test_a_damped_step_is_that_of_the_damped_graph_and_what_it_takes_off_the_cost(case):
+    held, values = case
+    damping, objective = 3.0, held.objective(values)
+    equations = objective.equations(objective.estimate(values))
+    states, points = equations.factorised(damping).step()
+    linear = held.graph().linearize(values)
+    damped, zero = held.graph().linearize(values), values.zeroVectors()
+    for key in held.graph().keyVector():
+        size = zero.dim(key)
+        one, unit = np.sqrt(damping) * np.eye(size), gtsam.noiseModel.Unit.Create(size)
+        damped.push_back(gtsam.JacobianFactor(key, one, np.zeros(size), unit))
+    wanted = damped.optimize(gtsam.EliminateQR)
+    variables = Variables.of(held.without_tracks(), values)
+    for key, start, end in zip(variables.keys, variables.start, variables.start[1:], strict=False):
+        assert np.allclose(states[start:end], wanted.at(key), rtol=0.0, atol=1e-9)
+    assert np.allclose(points, [wanted.at(track.key) for track in held.tracks], rtol=0.0, atol=1e-9)
+    fall = linear.error(values.zeroVectors()) - linear.error(wanted)
+    assert np.isclose(equations.fall(states, points, damping), fall, rtol=1e-9)
 
 
 def test_squares_and_freedom_are_those_of_the_graph(case):
@@ -137,3 +194,12 @@ def test_landmarks_of_short_tracks_are_eliminated_first_and_those_of_long_ones_s
     first = np.repeat(np.arange(200 - span + 1), 5) if span < 200 else np.zeros(60, int)
     limit = longest_eliminated(first, first + span - 1, 200)
     assert (limit >= span) == (wanted > 1)
+
+
+@pytest.mark.parametrize("name", ["short", "constant", "walking"])
+def test_fronts_are_no_wider_the_longer_the_drive_is(name):
+    widths = []
+    for frames in (40, 120):
+        held, values = ended(name, frames)
+        widths.append(held.objective(values).width)
+    assert widths[1] <= 1.2 * widths[0]

@@ -45,6 +45,11 @@ class Kernel:
         nu = self.degrees_of_freedom
         return (nu + DIMENSION) / (nu + squared)
 
+    def loss(self, squared: Array) -> Array:
+        """Twice the negative logarithm of the density, but for a constant, of squared norms ``(n,)``."""
+        nu = self.degrees_of_freedom
+        return (nu + DIMENSION) * np.log1p(squared / nu)
+
     @property
     def cauchy(self) -> tuple[float, float]:
         """Threshold k of Cauchy's kernel that is the same, and the factor s on the standard deviations."""

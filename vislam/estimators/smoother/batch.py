@@ -14,9 +14,10 @@ from vislam.estimators.smoother.descent import Budget, Descent, descend
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.motion import Motion
-from vislam.estimators.smoother.observations import Linearised, Observations
+from vislam.estimators.smoother.objective import Objective
+from vislam.estimators.smoother.observations import Observations
 from vislam.estimators.smoother.options import SmootherOptions
-from vislam.estimators.smoother.system import DriveSystem, Marginals, Others
+from vislam.estimators.smoother.system import DriveSystem, Marginals
 from vislam.estimators.smoother.tracks import Track, locate
 from vislam.estimators.smoother.tree import joint_covariance, tree_by_qr
 from vislam.estimators.smoother.values import only
@@ -83,7 +84,7 @@ class Drive:
     tracks: list[Track]
     _without_tracks: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
     _whole: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
-    _observations: Observations | None = field(default=None, init=False)
+    _objective: Objective | None = field(default=None, init=False)
 
     def without_tracks(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the stereo ones; a graph that may be added to."""
@@ -156,7 +157,7 @@ class Drive:
             first += len(track.views)
             track.views = [view for view, fine in zip(track.views, kept, strict=True) if fine]
         self.tracks = [track for track in self.tracks if track.views]
-        self._whole = self._observations = None
+        self._whole = self._objective = None
         return only(values, self.graph().keyVector()), int(count - good.sum())
 
     def fit(self, values: gtsam.Values) -> tuple[float, int]:
@@ -164,11 +165,11 @@ class Drive:
         if self.stereo.repeated:
             graph = self.graph()
             rows = sum(graph.at(index).dim() for index in range(graph.size()))
-            rows -= self.stereo.repeated * len(self._seen.frame)
+            rows -= self.stereo.repeated * sum(len(track.views) for track in self.tracks)
             return 2.0 * graph.error(values), rows - values.dim()
-        others, found = self.without_tracks(), self._linearised(values)
-        rows = sum(others.at(index).dim() for index in range(others.size())) + found.residual.size
-        return 2.0 * others.error(values) + float(np.sum(found.residual**2)), rows - values.dim()
+        objective = self.objective(values)
+        rows, unknowns = objective.dimensions
+        return 2.0 * objective.cost(objective.estimate(values)), rows - unknowns
 
     def marginals(
         self, values: gtsam.Values, shared: Sequence[int] = (), *, landmarks: bool = True
@@ -203,20 +204,22 @@ class Drive:
         numpy.linalg.LinAlgError
             If they are not positive definite.
         """
-        others = Others.of(self.without_tracks(), values)
-        frames, tracks = len(self.frames), len(self.tracks)
-        return DriveSystem(others, self._seen, self._linearised(values), frames=frames, landmarks=tracks)
+        objective = self.objective(values)
+        return objective.equations(objective.estimate(values)).factorised()
 
-    @property
-    def _seen(self) -> Observations:
-        """Observations of the tracks as they are now."""
-        if self._observations is None:
-            self._observations = Observations.of(self.tracks)
-        return self._observations
-
-    def _linearised(self, values: gtsam.Values) -> Linearised:
-        points = np.array([values.atPoint3(track.key) for track in self.tracks]).reshape(-1, 3)
-        return self._seen.linearise(self.rig, self.poses(values), points, kernel=self.stereo.kernel)
+    def objective(self, values: gtsam.Values) -> Objective:
+        """Cost with the observations as arrays, for the tracks as they are now; values have all variables."""
+        if self._objective is None:
+            self._objective = Objective(
+                self.without_tracks(),
+                Observations.of(self.tracks),
+                [track.key for track in self.tracks],
+                values,
+                rig=self.rig,
+                kernel=self.stereo.kernel,
+                frames=len(self.frames),
+            )
+        return self._objective
 
     def _marginals_by_qr(self, values: gtsam.Values, shared: Sequence[int], *, landmarks: bool) -> Marginals:
         tree = tree_by_qr(self.graph(), values)

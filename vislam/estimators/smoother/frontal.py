@@ -17,14 +17,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import blas, lapack
 
 from vislam.base.types import Array, IntArray
 
-Complement = Callable[[int], tuple[IntArray, Array, Array]]
-"""What a front is to be less by, for what was eliminated before: columns ``(u,)``, ``G (u, g)`` of ``G G^T``
-and ``g (g,)`` of the right-hand side's ``G g``."""
+Assemble = Callable[[int, IntArray, Array, Array], None]
+"""Adds what belongs to a front: by its number, the place of each column in it, and its matrix and right-hand
+side, of which all columns that are eliminated in it are asked for, in the lower triangle."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +52,11 @@ class Factorisation:
 
     Parameters
     ----------
-    information : sparse array (n, n)
-        In compressed columns, which are in the order of their elimination.
-    right : (n,)
-        Right-hand side of the normal equations.
     begin : (n,)
-        First front of each column.
+        First front of each column; columns are in the order of their elimination.
     ends : (fronts + 1,)
         Front i eliminates the columns from ``ends[i]`` to ``ends[i + 1]``.
-    complement : callable
+    assemble : callable
 
     Raises
     ------
@@ -69,18 +64,9 @@ class Factorisation:
         If the information is not positive definite.
     """
 
-    def __init__(
-        self,
-        information: sparse.csc_array,
-        right: Array,
-        *,
-        begin: IntArray,
-        ends: IntArray,
-        complement: Complement,
-    ) -> None:
-        self._information, self._right, self._ends = information, right, ends
+    def __init__(self, begin: IntArray, ends: IntArray, assemble: Assemble) -> None:
         # Place of each column in the front at hand.
-        self._place = np.zeros(len(right), np.int64)
+        self._place = np.zeros(len(begin), np.int64)
         self._fronts: list[Front] = []
         by_begin = np.argsort(begin, kind="stable")
         begins = np.searchsorted(begin[by_begin], np.arange(len(ends)))
@@ -90,13 +76,9 @@ class Factorisation:
             stays = active >= ends[number + 1]
             columns = np.concatenate([active[stays], np.arange(ends[number], ends[number + 1])])
             at = self._placed(columns)[stayed]
-            matrix, vector = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-            matrix[np.ix_(at, at)], vector[at] = left, left_right
-            self._assemble(number, matrix, vector)
-            tied, tall, known = complement(number)
-            at = self._place[tied]
-            matrix[np.ix_(at, at)] -= tall @ tall.T
-            vector[at] -= tall @ known
+            matrix, vector = np.zeros((len(columns), len(columns)), order="F"), np.zeros(len(columns))
+            matrix[at[:, None], at], vector[at] = left, left_right
+            assemble(number, self._place, matrix, vector)
             front = _eliminated(columns, int(np.count_nonzero(stays)), matrix, vector)
             self._fronts.append(front)
             stayed = columns[: front.stay]
@@ -108,8 +90,7 @@ class Factorisation:
         solution = np.zeros(len(self._place))
         for front in reversed(self._fronts):
             rest = front.right - front.across @ solution[front.columns[: front.stay]]
-            back = solve_triangular(front.lower, rest, lower=True, trans="T", check_finite=False)
-            solution[front.columns[front.stay :]] = back
+            solution[front.columns[front.stay :]] = blas.dtrsv(front.lower, rest, lower=1, trans=1)
         return solution
 
     def covariances(self) -> Iterator[tuple[int, IntArray, Array]]:
@@ -135,22 +116,10 @@ class Factorisation:
         self._place[columns] = np.arange(len(columns))
         return self._place
 
-    def _assemble(self, number: int, matrix: Array, vector: Array) -> None:
-        """Add the rows of the columns that are eliminated in a front, which is all that it asks for."""
-        begin, end = self._ends[number], self._ends[number + 1]
-        pointer = self._information.indptr[begin : end + 1]
-        entries = slice(pointer[0], pointer[-1])
-        column = np.repeat(np.arange(begin, end), np.diff(pointer))
-        row = self._information.indices[entries]
-        open_ = row >= begin
-        matrix[self._place[column[open_]], self._place[row[open_]]] += self._information.data[entries][open_]
-        vector[len(vector) - (end - begin) :] += self._right[begin:end]
-
 
 def _eliminated(columns: IntArray, stay: int, matrix: Array, vector: Array) -> Front:
     lower, info = lapack.dpotrf(matrix[stay:, stay:], lower=1, clean=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")
-    across = solve_triangular(lower, matrix[stay:, :stay], lower=True, check_finite=False)
-    right = solve_triangular(lower, vector[stay:], lower=True, check_finite=False)
-    return Front(columns, stay, lower, across, right)
+    across = blas.dtrsm(1.0, lower, matrix[stay:, :stay], lower=1)
+    return Front(columns, stay, lower, across, blas.dtrsv(lower, vector[stay:], lower=1))

@@ -10,9 +10,9 @@ from itertools import chain
 
 import numpy as np
 
-from vislam.base.types import Array, IntArray
+from vislam.base.types import Array, BoolArray, IntArray
 from vislam.estimators.smoother.tracks import Track
-from vislam.geometry import se3, so3
+from vislam.geometry import so3
 from vislam.models import Kernel, StereoRig
 
 
@@ -70,25 +70,44 @@ class Observations:
         np.maximum.at(last, self.landmark, self.frame)
         return first, last
 
+    def squared(self, rig: StereoRig, poses: Array, points: Array) -> Array:
+        """Squared norms ``(n,)`` of the whitened residuals at poses ``(T, 4, 4)`` and points ``(m, 3)``."""
+        _, points_cam, behind = self._in_camera(rig, poses, points)
+        residual = self._residual(rig, points_cam, behind)
+        return np.einsum("ni,ni->n", residual, residual)
+
     def linearise(self, rig: StereoRig, poses: Array, points: Array, *, kernel: Kernel | None) -> Linearised:
-        """Linearise at poses ``(T, 4, 4)`` of the body and points ``(m, 3)`` in the world [m]."""
-        points_imu = _transform(se3.inverse(poses)[self.frame], points[self.landmark])
-        points_cam = points_imu @ rig.imu_T_cam[:3, :3] + rig.cam_T_imu[:3, 3]
-        behind = points_cam[:, 2] <= 0.0
-        points_cam[behind] = [0.0, 0.0, 1.0]
-        residual = (rig.project(points_cam) - self.z) / self.sigma
-        by_point_imu = rig.projection_jacobian(points_cam) @ rig.cam_T_imu[:3, :3] / self.sigma[:, :, None]
-        by_point_imu[behind] = 0.0
-        residual[behind] = 2.0 * rig.fx / self.sigma[behind]
+        """Linearise at poses ``(T, 4, 4)`` of the body and points ``(m, 3)`` in the world [m].
+
+        With the axes ``a_x, a_y, a_z`` of the camera in the body, the rows of the Jacobian by the point in
+        the body are ``(fx a_x - (uL - cx) a_z) / depth``, the same with uR, and ``(fy a_y - (v - cy) a_z) /
+        depth``; a row r by the point is ``r x p`` by the rotation of the body, and ``-r`` by its translation.
+        """
+        points_imu, points_cam, behind = self._in_camera(rig, poses, points)
+        residual = self._residual(rig, points_cam, behind)
+        weight = 1.0 / (self.sigma * points_cam[:, 2:])
+        weight[behind] = 0.0
         if kernel is not None:
-            root = np.sqrt(kernel.weight(np.sum(residual**2, axis=1)))
-            residual *= root[:, None]
-            by_point_imu *= root[:, None, None]
+            root = np.sqrt(kernel.weight(np.einsum("ni,ni->n", residual, residual)))[:, None]
+            residual, weight = root * residual, root * weight
+        x_axis, y_axis, z_axis = rig.cam_T_imu[:3, :3]
+        across = np.stack([rig.fx * x_axis, rig.fx * x_axis, rig.fy * y_axis])
+        pixel = rig.project(points_cam) - [rig.cx, rig.cx, rig.cy]
+        by_point_imu = weight[:, :, None] * (across - pixel[:, :, None] * z_axis)
         by_pose = np.concatenate([by_point_imu @ so3.hat(points_imu), -by_point_imu], axis=2)
         by_point = by_point_imu @ poses[self.frame, :3, :3].transpose(0, 2, 1)
         return Linearised(residual, by_pose, by_point)
 
+    def _in_camera(self, rig: StereoRig, poses: Array, points: Array) -> tuple[Array, Array, BoolArray]:
+        """Points ``(n, 3)`` in body and camera, and which are behind it; those are on its axis instead."""
+        moved = points[self.landmark] - poses[self.frame, :3, 3]
+        points_imu = np.einsum("ni,nij->nj", moved, poses[self.frame, :3, :3])
+        points_cam = points_imu @ rig.imu_T_cam[:3, :3] + rig.cam_T_imu[:3, 3]
+        behind = points_cam[:, 2] <= 0.0
+        points_cam[behind] = [0.0, 0.0, 1.0]
+        return points_imu, points_cam, behind
 
-def _transform(poses: Array, points: Array) -> Array:
-    """Points ``(n, 3)``, each by its own pose ``(n, 4, 4)``."""
-    return np.asarray((poses[:, :3, :3] @ points[:, :, None])[:, :, 0] + poses[:, :3, 3])
+    def _residual(self, rig: StereoRig, points_cam: Array, behind: BoolArray) -> Array:
+        residual = (rig.project(points_cam) - self.z) / self.sigma
+        residual[behind] = 2.0 * rig.fx / self.sigma[behind]
+        return residual

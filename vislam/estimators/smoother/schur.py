@@ -9,46 +9,17 @@ information ``H_ll = C C^T`` of a landmark, ``H_pl`` between it and the poses, a
     dl = C^-T (g - G^T dp),    Sigma_ll = C^-T (I + G^T Sigma_pp G) C^-1,    Sigma_lx = -C^-T G^T Sigma_px
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from vislam.base.types import Array, IntArray
 from vislam.estimators.smoother.observations import Linearised, Observations
 
 
-@dataclass(frozen=True)
-class LandmarkBlocks:
-    """Information of all landmarks, and between them and the poses.
-
-    Attributes
-    ----------
-    own : (m, 3, 3)
-    right : (m, 3)
-    across : (n, 6, 3)
-        Between pose and landmark of each observation.
-    """
-
-    own: Array
-    right: Array
-    across: Array
-
-    @classmethod
-    def of(cls, seen: Observations, found: Linearised, landmarks: int) -> "LandmarkBlocks":
-        """Blocks of linearised observations."""
-        own, right = np.zeros((landmarks, 3, 3)), np.zeros((landmarks, 3))
-        turned = found.by_point.transpose(0, 2, 1)
-        np.add.at(own, seen.landmark, turned @ found.by_point)
-        np.add.at(right, seen.landmark, -(turned @ found.residual[:, :, None])[:, :, 0])
-        return cls(own, right, found.by_pose.transpose(0, 2, 1) @ found.by_point)
-
-
-class Eliminated:
-    """Landmarks that are eliminated first, in groups.
+class Groups:
+    """Which landmarks are eliminated first, in groups, with the observations of each.
 
     Parameters
     ----------
-    blocks : LandmarkBlocks
     seen : Observations
     column : (n, 6)
         Columns of the pose of each observation.
@@ -56,65 +27,93 @@ class Eliminated:
         Group of each landmark; -1 for one that is not eliminated here.
     groups : int
 
+    Attributes
+    ----------
+    landmarks : (g,)
+        Those of all groups, one group after the other.
+    rows : (r,)
+        Their observations, in the same order.
+    of : (r,)
+        Place in ``landmarks`` of each.
+    column : (r, 6)
+    """
+
+    def __init__(self, seen: Observations, column: IntArray, group: IntArray, groups: int) -> None:
+        order = np.argsort(group, kind="stable")
+        self.landmarks = order[np.searchsorted(group[order], 0) :]
+        self._ends = np.searchsorted(group[self.landmarks], np.arange(groups + 1))
+        rank = np.full(len(group), -1)
+        rank[self.landmarks] = np.arange(len(self.landmarks))
+        of = rank[seen.landmark]
+        rows = np.argsort(of, kind="stable")
+        self.rows = rows[np.searchsorted(of[rows], 0) :]
+        self.of, self.column = of[self.rows], column[self.rows]
+        self._row_ends = np.searchsorted(self.of, self._ends)
+
+    def of_group(self, group: int) -> slice:
+        """Places in ``landmarks`` of a group."""
+        return slice(self._ends[group], self._ends[group + 1])
+
+    def rows_of(self, group: int) -> slice:
+        """Places in ``rows`` of a group."""
+        return slice(self._row_ends[group], self._row_ends[group + 1])
+
+
+class Eliminated:
+    """Landmarks that are eliminated first.
+
+    Parameters
+    ----------
+    groups : Groups
+    found : Linearised
+        All observations.
+    own : (m, 3, 3)
+        Information of all landmarks by their observations.
+    right : (m, 3)
+        Their right-hand side.
+
     Raises
     ------
     numpy.linalg.LinAlgError
         If a landmark is not determined.
     """
 
-    def __init__(
-        self, blocks: LandmarkBlocks, seen: Observations, column: IntArray, group: IntArray, groups: int
-    ) -> None:
-        order = np.argsort(group, kind="stable")
-        self._landmarks = order[np.searchsorted(group[order], 0) :]
-        self._ends = np.searchsorted(group[self._landmarks], np.arange(groups + 1))
-        rank = np.full(len(group), -1)
-        rank[self._landmarks] = np.arange(len(self._landmarks))
-        of = rank[seen.landmark]
-        rows = np.argsort(of, kind="stable")
-        rows = rows[np.searchsorted(of[rows], 0) :]
-        self._of, self._column = of[rows], column[rows]
-        self._row_ends = np.searchsorted(self._of, self._ends)
+    def __init__(self, groups: Groups, found: Linearised, own: Array, right: Array) -> None:
+        self._groups = groups
         # Of the lower factors C.
-        self._inverse = np.linalg.inv(np.linalg.cholesky(blocks.own[self._landmarks]))
-        self._across = blocks.across[rows] @ self._inverse[self._of].transpose(0, 2, 1)
-        self._right = (self._inverse @ blocks.right[self._landmarks, :, None])[:, :, 0]
-
-    def landmarks(self, group: int) -> IntArray:
-        """Landmarks ``(g,)`` of a group."""
-        return self._landmarks[self._ends[group] : self._ends[group + 1]]
+        self._inverse = np.linalg.inv(np.linalg.cholesky(own[groups.landmarks]))
+        back = self._inverse.transpose(0, 2, 1)[groups.of]
+        by_pose, by_point = found.by_pose[groups.rows], found.by_point[groups.rows]
+        self._across = by_pose.transpose(0, 2, 1) @ (by_point @ back)
+        self._right = (self._inverse @ right[groups.landmarks, :, None])[:, :, 0]
 
     def complement(self, group: int) -> tuple[IntArray, Array, Array]:
         """Columns ``(u,)`` that a group ties, its ``G (u, 3 g)`` and ``g (3 g,)``."""
-        rows = slice(self._row_ends[group], self._row_ends[group + 1])
-        first, end = self._ends[group], self._ends[group + 1]
-        columns, at = np.unique(self._column[rows], return_inverse=True)
-        tall = np.zeros((len(columns), 3 * (end - first)))
-        right = 3 * (self._of[rows] - first)[:, None, None] + np.arange(3)
+        rows, which = self._groups.rows_of(group), self._groups.of_group(group)
+        columns, at = np.unique(self._groups.column[rows], return_inverse=True)
+        tall = np.zeros((len(columns), 3 * (which.stop - which.start)))
+        right = 3 * (self._groups.of[rows] - which.start)[:, None, None] + np.arange(3)
         tall[at.reshape(-1, 6, 1), right] = self._across[rows]
-        return columns, tall, self._right[first:end].ravel()
+        return columns, tall, self._right[which].ravel()
 
     def solution(self, step: Array) -> Array:
         """Steps ``(g, 3)`` of the landmarks of all groups, by those ``(columns,)`` of all else."""
+        by_row = np.einsum("ri,rij->rj", step[self._groups.column], self._across)
         moved = self._right.copy()
-        np.add.at(moved, self._of, -(step[self._column][:, None, :] @ self._across)[:, 0])
+        for axis in range(3):
+            moved[:, axis] -= np.bincount(self._groups.of, by_row[:, axis], len(moved))
         return (moved[:, None, :] @ self._inverse)[:, 0]
-
-    @property
-    def all_landmarks(self) -> IntArray:
-        """Landmarks of all groups, in the order of :meth:`solution`."""
-        return self._landmarks
 
     def covariances(self, group: int, tall: Array, sigma: Array) -> Array:
         """Covariances ``(g, 3, 3)`` of a group, by those ``(u, u)`` of the columns that it ties."""
         count = tall.shape[1] // 3
         spread = (sigma @ tall).reshape(len(tall), count, 3)
         inner = np.eye(3) + np.einsum("ugi,ugj->gij", tall.reshape(len(tall), count, 3), spread)
-        inverse = self._inverse[self._ends[group] : self._ends[group + 1]]
+        inverse = self._inverse[self._groups.of_group(group)]
         return inverse.transpose(0, 2, 1) @ inner @ inverse
 
     def cross_covariances(self, group: int, tall: Array, sigma: Array) -> Array:
         """Covariances ``(g, 3, d)`` of a group with some columns, by those ``(u, d)`` of the ones it ties."""
-        inverse = self._inverse[self._ends[group] : self._ends[group + 1]]
+        inverse = self._inverse[self._groups.of_group(group)]
         mixed = (tall.T @ sigma).reshape(len(inverse), 3, sigma.shape[1])
         return -inverse.transpose(0, 2, 1) @ mixed
