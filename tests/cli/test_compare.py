@@ -290,11 +290,11 @@ BAD_CONFIGS = {
     "not YAML": ("a: [1\n", "not a YAML file"),
     "unknown estimator": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {ukf: {}}\n",
-        "estimators.ukf: no such estimator; installed are batch, batch_gnc, dead_reckoning",
+        "estimators.ukf: no such estimator; installed are batch, batch_gnc, batch_schur, dead_reckoning",
     ),
     "unknown estimator behind a name": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: ukf}}\n",
-        "estimators.mine.estimator: ukf: no such estimator; installed are batch, batch_gnc, dead_reckoning",
+        "estimators.mine.estimator: ukf: no such estimator; installed are batch, batch_gnc, batch_schur",
     ),
     "no name of an estimator": (
         "name: s\ndata: {simulation: {frames: 9}}\nestimators: {mine: {estimator: 3}}\n",

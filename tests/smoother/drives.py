@@ -30,6 +30,7 @@ BUILD = {
     "isam2_norelin": family.build_norelin,
     "fixed_lag": family.build_fixed_lag,
     "batch": family.build_batch,
+    "batch_schur": family.build_schur,
     "batch_gnc": family.build_gnc,
 }
 RIG = StereoRig(

@@ -2,6 +2,7 @@
 
 import itertools
 import signal
+from functools import partial
 from types import SimpleNamespace
 
 import gtsam
@@ -16,7 +17,7 @@ from vislam.cli.command import interruptible
 from vislam.comparison.compare import make_problem, pixel_sigma
 from vislam.estimators.loop import run
 from vislam.estimators.smoother import descent
-from vislam.estimators.smoother.batch import minimise
+from vislam.estimators.smoother.batch import by_gtsam, minimise
 from vislam.estimators.smoother.descent import Budget, descend
 
 POINT = gtsam.symbol("p", 0)
@@ -62,7 +63,8 @@ def test_no_problem_takes_more_than_its_iterations_and_the_best_is_kept(start, i
         moved.update(POINT, found.atVector(POINT) + next(shaken))
         return moved
 
-    found = minimise(graph, values, restart=restart, rounds=rounds, budget=budget)
+    descent = partial(by_gtsam, graph)
+    found = minimise(descent, values, cost=graph.error(values), restart=restart, rounds=rounds, budget=budget)
     assert budget.done <= iterations
     assert found.rounds <= rounds
     assert found.cost <= graph.error(values)
@@ -77,14 +79,14 @@ def test_no_problem_takes_more_than_its_iterations_and_the_best_is_kept(start, i
 def test_with_enough_iterations_a_descent_is_gtsams_own(start):
     graph, values = valley(start)
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(descent._CONVERGED)
-    parameters.setMaxIterations(descent._MOST_ITERATIONS)
+    parameters.setRelativeErrorTol(descent.CONVERGED)
+    parameters.setMaxIterations(descent.MOST_ITERATIONS)
     expected = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     budget = Budget(ENDLESS)
     found = descend(graph, values, solver="cholesky", budget=budget)
     assert np.array_equal(found.values.atVector(POINT), expected.atVector(POINT))
     assert not found.cut
-    assert 1 <= budget.done <= descent._MOST_ITERATIONS
+    assert 1 <= budget.done <= descent.MOST_ITERATIONS
 
 
 def estimated(name, simulated, told=None, **options):
@@ -95,7 +97,7 @@ def estimated(name, simulated, told=None, **options):
     return run(estimator, dataset.sequence, pixel_sigma(config, dataset), name=name)
 
 
-@pytest.mark.parametrize("name", ["batch", "batch_gnc"])
+@pytest.mark.parametrize("name", ["batch", "batch_schur", "batch_gnc"])
 def test_a_run_whose_iterations_are_used_up_is_whole_and_says_so(name, simulated):
     told = []
     free, cut = estimated(name, simulated), estimated(name, simulated, told.append, max_iterations=2)
@@ -127,7 +129,7 @@ def test_a_budget_that_is_not_used_up_changes_nothing(simulated):
     assert one.log.counts == other.log.counts
 
 
-@pytest.mark.parametrize("name", ["batch", "batch_gnc", "isam2"])
+@pytest.mark.parametrize("name", ["batch", "batch_schur", "batch_gnc", "isam2"])
 def test_a_time_budget_ends_it_too(name, simulated, monkeypatch):
     # Each look at the clock is a second later.
     monkeypatch.setattr(descent, "time", SimpleNamespace(monotonic=itertools.count().__next__))

@@ -165,6 +165,8 @@ REFUSED = [
     ("batch_gnc", {"lag_s": 1.0}, "final: gnc needs the whole sequence"),
     ("isam2", {"factors": "smart"}, "factors: smart"),
     ("batch_gnc", {"factors": "smart"}, "factors: smart"),
+    ("isam2", {"optimiser": "schur"}, "optimiser: schur is for final: batch or gnc, not relinearised"),
+    ("batch_schur", {"factors": "smart"}, "optimiser: schur eliminates the landmarks itself"),
     ("isam2", {"robust_threshold": 2.0}, "isam2.robust_threshold: the robust kernel is one setting"),
     ("isam2", {"huber": 1.0}, "huber"),
     ("isam2", {"window": 0}, "window"),

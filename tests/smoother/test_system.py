@@ -1,73 +1,21 @@
 """The normal equations of a drive: each step and each covariance against GTSAM's on the same graph."""
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
 
-from tests.smoother.drives import drive
-from vislam.comparison.compare import make_problem, pixel_sigma
-from vislam.comparison.config import KernelConfig, SharedWalkConfig, VerticalVelocityConfig
-from vislam.comparison.open import open_dataset
-from vislam.estimators.loop import run
-from vislam.estimators.smoother import SmootherEstimator, SmootherOptions
+from tests.smoother.ended import CASES, ended
 from vislam.estimators.smoother.engine import tree_by_qr
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.layout import Variables, longest_eliminated
 from vislam.estimators.smoother.observations import Observations
 from vislam.estimators.smoother.values import only
 
-SMOOTH = (0.09, 0.09, 0.05, 0.3, 0.2, 0.2)
-CASES = {
-    "short": {"loss_probability": 0.4},
-    "long": {"loss_probability": 0.0, "depth_min": 20.0, "speed": 2.0},
-    "all_that_is_estimated": {"navigation_frame_velocity": True, "hills_m": 10.0},
-    "kernel": {"outlier_probability": 0.05},
-    "constant": {"loss_probability": 0.2},
-    "walking": {"loss_probability": 0.2},
-}
-MORE = {
-    "all_that_is_estimated": {
-        "vertical_velocity": VerticalVelocityConfig(walk=0.02),
-        "acceleration_density": SMOOTH,
-        "velocity_direction_sigma": 0.02,
-    },
-    "constant": {"clock_sigma": 0.01, "camera_rotation_sigma": 0.01, "velocity_direction_sigma": 0.02},
-    "walking": {
-        "clock_sigma": 0.01,
-        "camera_rotation_sigma": 0.01,
-        "shared_walk": SharedWalkConfig(clock=0.001, camera_rotation=0.001),
-    },
-}
-
-
-def ended(name, frames):
-    """The problem of a drive, and an estimate of it that is not relinearised in the end."""
-    config, dataset = drive(seed=5, frames=frames, tracks_in_view=15, **CASES[name])
-    if name == "all_that_is_estimated":
-        data = replace(config.data, repair=replace(config.data.repair, navigation_frame_velocity=True))
-        config = replace(config, data=data)
-        dataset = open_dataset(data, seed=5)
-    config = replace(config, noise=replace(config.noise, **MORE.get(name, {})))
-    if name == "kernel":
-        config = replace(config, kernel=KernelConfig())
-    kept = []
-
-    class Kept(SmootherEstimator):
-        def _finish(self, drive):
-            kept.append((drive, super()._finish(drive)))
-            return kept[-1][1]
-
-    estimator = Kept(make_problem(config, dataset), SmootherOptions(final="as_is"))
-    assert run(estimator, dataset.sequence, pixel_sigma(config, dataset), name="isam2").complete
-    return kept[0]
-
 
 @pytest.fixture(params=CASES)
 def case(request):
     """A problem and an estimate of it."""
-    return ended(request.param, 22)
+    return ended(request.param)
 
 
 def test_a_step_is_gtsams_on_the_same_graph(case):
@@ -199,7 +147,7 @@ def test_landmarks_of_short_tracks_are_eliminated_first_and_those_of_long_ones_s
 @pytest.mark.parametrize("name", ["short", "constant", "walking"])
 def test_fronts_are_no_wider_the_longer_the_drive_is(name):
     widths = []
-    for frames in (40, 120):
+    for frames in (30, 80):
         held, values = ended(name, frames)
         widths.append(held.objective(values).width)
     assert widths[1] <= 1.2 * widths[0]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from vislam.base.distributions import chi2_quantile
 from vislam.base.types import Array, BoolArray
 from vislam.core.frame import Frame
+from vislam.estimators.smoother import schur_descent
 from vislam.estimators.smoother.descent import Budget, Descent, descend
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
@@ -131,8 +133,9 @@ class Drive:
         """Maximum a posteriori estimate from an initial one, with the factors that the options name."""
         if options.factors == "stereo":
             return minimise(
-                self.graph(),
+                self._descent(values, options),
                 values,
+                cost=self.cost(values),
                 restart=lambda values: self.triangulated(values, clear=options.initialisation_snr),
                 rounds=options.final_iterations,
                 budget=budget,
@@ -141,11 +144,31 @@ class Drive:
         for track in self.tracks:
             graph.add(self.stereo.smart(track.views))
         start = only(values, graph.keyVector())
-        found = minimise(graph, start, restart=gtsam.Values, rounds=1, budget=budget)
+        found = minimise(
+            partial(by_gtsam, graph),
+            start,
+            cost=graph.error(start),
+            restart=gtsam.Values,
+            rounds=1,
+            budget=budget,
+        )
         everything = gtsam.Values(values)
         everything.update(found.values)
         located = self.triangulated(everything, clear=options.initialisation_snr)
         return replace(found, values=located, converged=not found.stopped)
+
+    def cost(self, values: gtsam.Values) -> float:
+        """Half the sum of the squared whitened residuals, under the robust kernel."""
+        if self.stereo.repeated:
+            return float(self.graph().error(values))
+        objective = self.objective(values)
+        return objective.cost(objective.estimate(values))
+
+    def _descent(self, values: gtsam.Values, options: SmootherOptions) -> Callable[..., Descent]:
+        """Levenberg-Marquardt as the options ask for it."""
+        if options.optimiser == "schur":
+            return partial(schur_descent.descend, self.objective(values))
+        return partial(by_gtsam, self.graph())
 
     def graduate(self, values: gtsam.Values, budget: Budget) -> tuple[gtsam.Values, int]:
         """Take outliers out of the tracks; returns the values of what is left, and how many they were."""
@@ -166,10 +189,9 @@ class Drive:
             graph = self.graph()
             rows = sum(graph.at(index).dim() for index in range(graph.size()))
             rows -= self.stereo.repeated * sum(len(track.views) for track in self.tracks)
-            return 2.0 * graph.error(values), rows - values.dim()
-        objective = self.objective(values)
-        rows, unknowns = objective.dimensions
-        return 2.0 * objective.cost(objective.estimate(values)), rows - unknowns
+        else:
+            rows = self.objective(values).rows
+        return 2.0 * self.cost(values), rows - values.dim()
 
     def marginals(
         self, values: gtsam.Values, shared: Sequence[int] = (), *, landmarks: bool = True
@@ -271,9 +293,10 @@ class Drive:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph,
+    descent: Callable[..., Descent],
     values: gtsam.Values,
     *,
+    cost: float,
     restart: Callable[[gtsam.Values], gtsam.Values],
     rounds: int,
     budget: Budget,
@@ -282,8 +305,11 @@ def minimise(
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph
+    descent : callable
+        Levenberg-Marquardt from some values, within ``budget=``.
     values : gtsam.Values
+    cost : float
+        Of these.
     restart : callable
         Values to start a round from, out of the best so far.
     rounds : int
@@ -291,10 +317,10 @@ def minimise(
     budget : Budget
         Once it is spent, the best values so far are the result.
     """
-    best, cost, done, converged, stopped = values, graph.error(values), 0, False, budget.spent
+    best, done, converged, stopped = values, 0, False, budget.spent
     while done < rounds and not converged and not stopped:
         done += 1
-        found = _descend(graph, restart(best), budget)
+        found = descent(restart(best), budget=budget)
         converged = not found.cut and not found.cost < cost - max(_CONVERGED * cost, _NOTHING)
         if found.cost < cost:
             best, cost = found.values, found.cost
@@ -347,8 +373,8 @@ def graduate(
     return values, weights > _INLIER_WEIGHT
 
 
-def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, budget: Budget) -> Descent:
-    """Levenberg-Marquardt with Cholesky, and from there with QR if steps were rejected."""
+def by_gtsam(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, *, budget: Budget) -> Descent:
+    """GTSAM's Levenberg-Marquardt with Cholesky, and from there with QR if steps were rejected."""
     found = descend(graph, start, solver="cholesky", budget=budget)
     if found.damped and not found.cut:
         found = descend(graph, found.values, solver="qr", budget=budget)

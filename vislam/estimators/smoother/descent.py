@@ -12,11 +12,11 @@ import numpy as np
 Tell = Callable[[str], None]
 Solver = Literal["cholesky", "qr"]
 _log = logging.getLogger("vislam.estimators.smoother")
-_CONVERGED = 1e-8
+CONVERGED = 1e-8
 """An iteration that lowers the cost by less than this share of it is the last of its descent."""
-_NOTHING = 1e-5
+NOTHING = 1e-5
 """So is one that lowers it by less than this, as in GTSAM's own loop."""
-_MOST_ITERATIONS = 50
+MOST_ITERATIONS = 50
 """Iterations of one descent, at most."""
 
 
@@ -87,7 +87,7 @@ def descend(
     *,
     solver: Solver,
     budget: Budget,
-    most: int = _MOST_ITERATIONS,
+    most: int = MOST_ITERATIONS,
 ) -> Descent:
     """Levenberg-Marquardt until it converges, for ``most`` iterations, or until the budget is spent.
 
@@ -96,7 +96,7 @@ def descend(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setLinearSolverType(f"MULTIFRONTAL_{solver.upper()}")
     # A step that changes the cost by less than this share ends the search for its damping, too.
-    parameters.setRelativeErrorTol(_CONVERGED)
+    parameters.setRelativeErrorTol(CONVERGED)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
     cost, cut = optimizer.error(), False
     for _ in range(most):
@@ -106,7 +106,7 @@ def descend(
         before, cost = cost, optimizer.error()
         fall = before - cost
         budget.count(f"optimisation ({solver})", cost=cost, fall=fall)
-        if fall <= max(_CONVERGED * before, _NOTHING):
+        if fall <= max(CONVERGED * before, NOTHING):
             break
     damped = optimizer.lambda_() > parameters.getlambdaInitial()
     return Descent(optimizer.values(), cost, damped, cut)

@@ -27,6 +27,8 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
         "wildfire_threshold": 0.0,
     },
     "batch": {"final": "batch", "final_iterations": 10},
+    # The same optimum by our own linear algebra.
+    "batch_schur": {"final": "batch", "final_iterations": 10, "optimiser": "schur"},
     "batch_gnc": {"final": "gnc", "final_iterations": 10},
 }
 """What each variant sets; its config section may set the rest, or these again."""
@@ -70,6 +72,12 @@ def _variant(name: str, problem: Problem, options: Mapping[str, Any]) -> Smoothe
 def _refuse_halves(name: str, problem: Problem, options: SmootherOptions) -> None:
     """Refuse what has no meaning for the two factors of an observation where pixels have shared errors."""
     pixels = [error for error in shared_errors.OF_PIXELS if error in problem.shared()]
+    if pixels and options.optimiser == "schur":
+        raise ConfigError(
+            f"estimators.{name}: optimiser: schur has observations of a known calibration; with "
+            f"{pixels[0].replace('_', ' ')} estimated set it to gtsam, or "
+            f"noise.{shared_errors.prior_name(pixels[0])} to 0"
+        )
     weighed = "kernel" if problem.kernel is not None else ""
     if not options.plain:
         weighed = f"estimators.{name}.final" if options.final == "gnc" else f"estimators.{name}.factors"
@@ -86,4 +94,5 @@ build_between = partial(_variant, "isam2_between")
 build_norelin = partial(_variant, "isam2_norelin")
 build_fixed_lag = partial(_variant, "fixed_lag")
 build_batch = partial(_variant, "batch")
+build_schur = partial(_variant, "batch_schur")
 build_gnc = partial(_variant, "batch_gnc")

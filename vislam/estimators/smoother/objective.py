@@ -72,10 +72,10 @@ class Objective:
         self._structure = Structure(self._variables, seen, frames, len(keys))
 
     @property
-    def dimensions(self) -> tuple[int, int]:
-        """Residuals and unknowns."""
+    def rows(self) -> int:
+        """Number of residuals."""
         rows = sum(self._graph.at(index).dim() for index in range(self._graph.size()))
-        return rows + self._seen.z.size, int(self._variables.start[-1]) + 3 * len(self._keys)
+        return rows + self._seen.z.size
 
     @property
     def width(self) -> int:

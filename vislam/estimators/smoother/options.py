@@ -55,6 +55,9 @@ class SmootherOptions:
     budget_s: Positive | None = None
     """Wall time of the final optimisation, at most [s]; null: unbounded. It makes the result depend on the
     machine."""
+    optimiser: Literal["gtsam", "schur"] = "gtsam"
+    """Levenberg-Marquardt of ``batch``, and of ``gnc`` without the outliers: GTSAM's, or ours on normal
+    equations with the landmarks eliminated. Both find the same optimum."""
     factors: Literal["stereo", "smart"] = "stereo"
     """Factors of ``batch``: one an observation, or one smart factor a track, which eliminates the landmark.
     GTSAM's smart factors have one isotropic noise: that of rows is taken to be that of columns."""
@@ -82,3 +85,7 @@ class SmootherOptions:
             )
         if self.factors == "smart" and self.final != "batch":
             raise ValueError("factors: smart ones are for final: batch alone")
+        if self.optimiser == "schur" and self.final not in ("batch", "gnc"):
+            raise ValueError(f"optimiser: schur is for final: batch or gnc, not {self.final}")
+        if self.optimiser == "schur" and self.factors == "smart":
+            raise ValueError("optimiser: schur eliminates the landmarks itself; set factors to stereo")

@@ -6,12 +6,14 @@ itself away: its own cost is above that of the path that the twist alone makes, 
 triangulated from it.
 """
 
+from functools import partial
+
 import gtsam
 import numpy as np
 
 from vislam.core.estimator import Problem
 from vislam.estimators.smoother import motion
-from vislam.estimators.smoother.batch import Drive, minimise
+from vislam.estimators.smoother.batch import Drive, by_gtsam, minimise
 from vislam.estimators.smoother.descent import Budget
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.values import only
@@ -43,11 +45,13 @@ def restarted(
     graph = drive.graph()
     start = drive.triangulated(_inertial_path(drive, problem, options), clear=options.initialisation_snr)
     start = only(start, graph.keyVector())
-    if 2.0 * graph.error(start) >= squares:
+    cost = graph.error(start)
+    if 2.0 * cost >= squares:
         return None
     found = minimise(
-        graph,
+        partial(by_gtsam, graph),
         start,
+        cost=cost,
         restart=lambda best: drive.triangulated(best, clear=options.initialisation_snr),
         rounds=_ROUNDS,
         budget=budget,
