@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from tests.smoother.ended import CASES, ended
-from vislam.estimators.smoother.engine import tree_by_qr
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.layout import Variables, longest_eliminated
 from vislam.estimators.smoother.observations import Observations
+from vislam.estimators.smoother.tree import tree_by_qr
 from vislam.estimators.smoother.values import only
 
 

@@ -167,10 +167,19 @@ class WholeGraph(Ordered):
     def estimate(self) -> gtsam.Values:
         """Estimate of all variables but the anchor."""
         self._join()
+        return self.newest()
+
+    def newest(self) -> gtsam.Values:
+        """Estimate of all variables that have not left the tree, but the anchor."""
         found = solved(self._segments.tree(()).calculateBestEstimate)
         if self._anchor is not None:
             found.erase(self._anchor[1])
         return found
+
+    @property
+    def whole(self) -> bool:
+        """Whether the tree has all variables."""
+        return self._segments.whole
 
     def _with(self, *keys: int) -> gtsam.ISAM2:
         return solved(self._segments.tree, keys)

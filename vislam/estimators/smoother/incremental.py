@@ -18,6 +18,8 @@ from vislam.estimators.smoother import motion
 from vislam.estimators.smoother.batch import Drive
 from vislam.estimators.smoother.between import Between
 from vislam.estimators.smoother.descent import Budget, Tell
+from vislam.estimators.smoother.ending import relinearised
+from vislam.estimators.smoother.engine import WholeGraph
 from vislam.estimators.smoother.factors import StereoFactors
 from vislam.estimators.smoother.keys import X
 from vislam.estimators.smoother.options import SmootherOptions
@@ -279,22 +281,12 @@ class SmootherEstimator:
 
     def _finish(self, drive: Drive) -> gtsam.Values:
         """Do what the options ask for in the end, and return the estimate."""
-        options, values = self._options, self._solver.engine.estimate()
+        options = self._options
         budget = Budget(options.max_iterations, options.budget_s, tell=self.tell)
         if options.final == "relinearised":
-            for _ in range(options.final_iterations):
-                if budget.spent:
-                    self._events.append(_stopped("relinearised", budget, budget.spent))
-                    break
-                try:
-                    self._solver.converge()
-                    values = self._solver.engine.estimate()
-                except IndeterminateError:
-                    self._counts["final_iterations_undone"] += 1
-                    break
-                budget.count("relinearised")
-            values = self._or_restarted(drive, values, budget)
-        elif options.final != "as_is":
+            return self._or_restarted(drive, self._relinearised(drive, budget), budget)
+        values = self._solver.engine.estimate()
+        if options.final != "as_is":
             if options.final == "gnc":
                 values, self._counts["outliers"] = drive.graduate(values, budget)
             found = drive.optimise(values, options, budget)
@@ -308,6 +300,16 @@ class SmootherEstimator:
             if options.plain:
                 values = self._or_restarted(drive, values, budget)
         return values
+
+    def _relinearised(self, drive: Drive, budget: Budget) -> gtsam.Values:
+        """Return the estimate with everything relinearised, as often as the options ask for."""
+        engine = self._solver.engine
+        assert isinstance(engine, WholeGraph)
+        found = relinearised(engine, drive, self._options, budget)
+        self._counts["final_iterations_undone"] += found.undone
+        if found.stopped:
+            self._events.append(_stopped("relinearised", budget, found.stopped))
+        return found.values
 
     def _or_restarted(self, drive: Drive, values: gtsam.Values, budget: Budget) -> gtsam.Values:
         """Return the estimate, or one re-initialised from the inertial path where it is worse than that."""

@@ -22,7 +22,7 @@ _ENOUGH = 1e-3
 
 
 @dataclass(frozen=True)
-class Step:
+class Iteration:
     """Where an iteration ended.
 
     Attributes
@@ -36,6 +36,11 @@ class Step:
     estimate: Estimate
     cost: float
     damping: float
+
+    @property
+    def stuck(self) -> bool:
+        """Whether no damping lowered the cost, nor left it as it was."""
+        return self.damping >= _MOST
 
 
 def descend(
@@ -54,10 +59,10 @@ def descend(
     return Descent(objective.values(at.estimate), at.cost, at.damping > _FIRST, cut)
 
 
-def first_step(objective: Objective, start: gtsam.Values) -> Step:
+def first_step(objective: Objective, start: gtsam.Values) -> Iteration:
     """Where the first iteration begins."""
     estimate = objective.estimate(start)
-    return Step(estimate, objective.cost(estimate), _FIRST)
+    return Iteration(estimate, objective.cost(estimate), _FIRST)
 
 
 def gauss_newton(objective: Objective, estimate: Estimate) -> Estimate:
@@ -71,7 +76,7 @@ def gauss_newton(objective: Objective, estimate: Estimate) -> Estimate:
     return objective.moved(estimate, *objective.equations(estimate).factorised().step())
 
 
-def iterate(objective: Objective, at: Step) -> Step:
+def iterate(objective: Objective, at: Iteration) -> Iteration:
     """One iteration, from where the last one ended; the same estimate where no damping lowers the cost."""
     equations, damping = objective.equations(at.estimate), at.damping
     while True:
@@ -80,9 +85,9 @@ def iterate(objective: Objective, at: Step) -> Step:
             moved = objective.moved(at.estimate, *step)
             cost, foreseen = objective.cost(moved), equations.fall(*step, damping)
             if foreseen > 0.0 and at.cost - cost > _ENOUGH * foreseen:
-                return Step(moved, cost, damping / _BY)
+                return Iteration(moved, cost, damping / _BY)
             if abs(at.cost - cost) < CONVERGED * at.cost:
-                return Step(at.estimate, at.cost, damping)
+                return Iteration(at.estimate, at.cost, damping)
         damping = max(_BY * damping, _FIRST)
         if damping >= _MOST:
-            return Step(at.estimate, at.cost, damping)
+            return Iteration(at.estimate, at.cost, damping)

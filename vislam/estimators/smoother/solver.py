@@ -226,11 +226,6 @@ class Solver:
             self._read(frame)
         return found
 
-    def converge(self) -> None:
-        """Relinearise the whole graph once and solve it; what is asked of a lag is :meth:`settle`."""
-        assert isinstance(self.engine, WholeGraph)
-        self.engine.converge()
-
     def _relinearise(self, frame: Frame, *, whole: bool) -> bool:
         """Relinearise the whole graph or its recent part; of a lag, everything that it holds, if it can be.
 
