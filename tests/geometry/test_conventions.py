@@ -59,6 +59,24 @@ def test_series_and_closed_form_meet(rng):
         assert np.allclose(below, above, atol=1e-10)
 
 
+@pytest.mark.parametrize("size", [0.0, *SIZES, 3.1])
+def test_one_alone_is_what_it_is_in_a_stack(rng, size):
+    """Single elements are computed without arrays, stacks with them; neither is made of the other."""
+    xi = rng.normal(size=(200, 6))
+    xi[:, :3] *= size / np.linalg.norm(xi[:, :3], axis=1, keepdims=True)
+    pose = se3.exp(xi)
+    for function, stack in [
+        (so3.exp, xi[:, :3]),
+        (so3.left_jacobian, xi[:, :3]),
+        (se3.exp, xi),
+        (se3.left_jacobian, xi),
+        (se3.inverse, pose),
+        (se3.adjoint, pose),
+    ]:
+        alone = np.array([function(one) for one in stack])
+        assert np.abs(alone - function(stack)).max() < 4e-15 * max(1.0, np.abs(alone).max())
+
+
 def test_names_cancel_and_points_move_outwards(rng):
     a_T_b, b_T_c = se3.exp(rng.normal(size=(2, 6)))
     points_c = rng.normal(size=(4, 3))

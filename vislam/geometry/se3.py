@@ -3,6 +3,8 @@
 The order of tangent vectors is (omega, v); see the package docstring for all conventions.
 """
 
+import math
+
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
@@ -32,6 +34,8 @@ def is_rigid(pose: Array, *, tolerance: float) -> BoolArray:
 
 def inverse(pose: Array) -> Array:
     """Inverse of a rigid transform, ``(..., 4, 4)``."""
+    if pose.ndim == 2:
+        return _inverse_of_one(pose)
     out = np.zeros(pose.shape)
     out[..., :3, :3] = np.swapaxes(pose[..., :3, :3], -1, -2)
     out[..., :3, 3] = -(out[..., :3, :3] @ pose[..., :3, 3, None])[..., 0]
@@ -39,8 +43,22 @@ def inverse(pose: Array) -> Array:
     return out
 
 
+def _inverse_of_one(pose: Array) -> Array:
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = pose.tolist()
+    return np.array(
+        [
+            [a, d, g, -(a * x + d * y + g * z)],
+            [b, e, h, -(b * x + e * y + h * z)],
+            [c, f, i, -(c * x + f * y + i * z)],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
 def exp(xi: Array) -> Array:
     """Pose ``(..., 4, 4)`` of a tangent vector ``(..., 6)`` = (omega [rad], v [m])."""
+    if xi.ndim == 1:
+        return _exp_of_one(xi)
     omega, v = xi[..., :3], xi[..., 3:]
     jacobian = so3.left_jacobian(omega)
     # The left Jacobian J holds the rotation as well: it is 1 + hat(omega) J.
@@ -49,6 +67,20 @@ def exp(xi: Array) -> Array:
     out[..., :3, 3] = (jacobian @ v[..., None])[..., 0]
     out[..., 3, 3] = 1.0
     return out
+
+
+def _exp_of_one(xi: Array) -> Array:
+    """Pose of a single tangent vector, which filters ask for at every step, without an array on the way."""
+    x, y, z, u, v, w = xi.tolist()
+    a, b, c, d, e, f, g, h, i = so3.left_jacobian_entries(x, y, z)
+    return np.array(
+        [
+            [1.0 + (y * g - z * d), y * h - z * e, y * i - z * f, a * u + b * v + c * w],
+            [z * a - x * g, 1.0 + (z * b - x * h), z * c - x * i, d * u + e * v + f * w],
+            [x * d - y * a, x * e - y * b, 1.0 + (x * f - y * c), g * u + h * v + i * w],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def log(pose: Array) -> Array:
@@ -97,6 +129,8 @@ def left_jacobian(xi: Array) -> Array:
     Barfoot, *State Estimation for Robotics* (2017), eqs. (7.85b) and (7.86b), with the blocks
     exchanged because our tangent vectors start with the rotation.
     """
+    if xi.ndim == 1:
+        return _left_jacobian_of_one(xi)
     omega, v = xi[..., :3], xi[..., 3:]
     angle = np.linalg.norm(omega, axis=-1)
     w, p = so3.hat(omega), so3.hat(v)
@@ -116,6 +150,39 @@ def left_jacobian(xi: Array) -> Array:
     out[..., 3:, 3:] = rotation
     out[..., 3:, :3] = coupling
     return out
+
+
+def _left_jacobian_of_one(xi: Array) -> Array:
+    """Left Jacobian of a single tangent vector, its products of cross-product matrices multiplied out.
+
+    With ``s = omega . v``, ``a = |omega|`` and the coefficients c2, c3, c5 the coupling block is
+
+        hat((1/2 - c3 a^2) v + s (2 c3 - c2) omega) + c2 (omega v^T + v omega^T) - 2 s c5 omega omega^T
+            + 2 s (c5 a^2 - c2) 1.
+    """
+    x, y, z, u, v, w = xi.tolist()
+    square, s = x * x + y * y + z * z, x * u + y * v + z * w
+    angle = math.sqrt(square)
+    second = so3.sine_coefficient_of_one(angle)
+    third, fifth = _third_coefficient_of_one(angle), _fifth_coefficient_of_one(angle)
+    a, b, c, d, e, f, g, h, i = so3.left_jacobian_entries(x, y, z)
+    by_v, by_omega = 0.5 - third * square, s * (2.0 * third - second)
+    p, q, r = by_v * u + by_omega * x, by_v * v + by_omega * y, by_v * w + by_omega * z
+    # The symmetric part is the product of omega with (l, m, n) and the transpose of that product.
+    half = -s * fifth
+    l, m, n = second * u + half * x, second * v + half * y, second * w + half * z  # noqa: E741
+    own = 2.0 * s * (fifth * square - second)
+    xy, xz, yz = x * m + y * l, x * n + z * l, y * n + z * m
+    return np.array(
+        [
+            [a, b, c, 0.0, 0.0, 0.0],
+            [d, e, f, 0.0, 0.0, 0.0],
+            [g, h, i, 0.0, 0.0, 0.0],
+            [2.0 * x * l + own, xy - r, xz + q, a, b, c],
+            [xy + r, 2.0 * y * m + own, yz - p, d, e, f],
+            [xz - q, yz + p, 2.0 * z * n + own, g, h, i],
+        ]
+    )
 
 
 def right_jacobian(xi: Array) -> Array:
@@ -139,3 +206,15 @@ def _fifth_coefficient(angle: Array) -> Array:
     closed = (2.0 * safe - 3.0 * np.sin(safe) + safe * np.cos(safe)) / (2.0 * safe**5)
     square = angle**2
     return np.where(small, 1.0 / 120.0 - square / 2520.0 + square**2 / 120960.0, closed)
+
+
+def _third_coefficient_of_one(a: float) -> float:
+    if a < _SMALL_ANGLE:
+        return 1.0 / 24.0 - a**2 / 720.0 + a**4 / 40320.0
+    return (a**2 + 2.0 * math.cos(a) - 2.0) / (2.0 * a**4)
+
+
+def _fifth_coefficient_of_one(a: float) -> float:
+    if a < _SMALL_ANGLE:
+        return 1.0 / 120.0 - a**2 / 2520.0 + a**4 / 120960.0
+    return (2.0 * a - 3.0 * math.sin(a) + a * math.cos(a)) / (2.0 * a**5)

@@ -34,10 +34,37 @@ def hat(omega: Array) -> Array:
 
 def exp(omega: Array) -> Array:
     """Rotation matrix ``(..., 3, 3)`` of a rotation vector ``(..., 3)`` [rad], by Rodrigues' formula."""
+    if omega.ndim == 1:
+        return _exp_of_one(*omega.tolist())
     angle = np.linalg.norm(omega, axis=-1)
     matrix = hat(omega)
     first, second = np.sinc(angle / np.pi), cosine_coefficient(angle)
     return np.eye(3) + first[..., None, None] * matrix + second[..., None, None] * (matrix @ matrix)
+
+
+def _exp_of_one(x: float, y: float, z: float) -> Array:
+    """Rotation matrix of a single vector, which filters ask for at each step, without an array on the way."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    first = math.sin(angle) / angle if angle > 0.0 else 1.0
+    return np.array(_entries(x, y, z, first, cosine_coefficient_of_one(angle))).reshape(3, 3)
+
+
+def _entries(x: float, y: float, z: float, first: float, second: float) -> tuple[float, ...]:
+    """Entries of ``1 + first hat + second hat^2``, row after row, hat being that of (x, y, z)."""
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = second * x * y, second * x * z, second * y * z
+    x, y, z = first * x, first * y, first * z
+    return (
+        1.0 - second * (yy + zz),
+        xy - z,
+        xz + y,
+        xy + z,
+        1.0 - second * (xx + zz),
+        yz - x,
+        xz - y,
+        yz + x,
+        1.0 - second * (xx + yy),
+    )
 
 
 def log(rotation: Array) -> Array:
@@ -93,30 +120,29 @@ def left_jacobian(omega: Array) -> Array:
     Barfoot, *State Estimation for Robotics* (2017), eq. (7.77); ``(..., 3)`` to ``(..., 3, 3)``.
     """
     if omega.ndim == 1:
-        return _left_jacobian_of_one(*omega.tolist())
+        return np.array(left_jacobian_entries(*omega.tolist())).reshape(3, 3)
     angle = np.linalg.norm(omega, axis=-1)
     first, second = cosine_coefficient(angle), sine_coefficient(angle)
     matrix = hat(omega)
     return np.eye(3) + first[..., None, None] * matrix + second[..., None, None] * (matrix @ matrix)
 
 
-def _left_jacobian_of_one(x: float, y: float, z: float) -> Array:
-    """Left Jacobian of a single vector, which filters ask for at every step, without an array on the way."""
-    xx, yy, zz = x * x, y * y, z * z
-    angle = math.sqrt(xx + yy + zz)
+def left_jacobian_entries(x: float, y: float, z: float) -> tuple[float, ...]:
+    """Entries of the left Jacobian of a single vector (x, y, z) [rad], row after row."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    return _entries(x, y, z, cosine_coefficient_of_one(angle), sine_coefficient_of_one(angle))
+
+
+def cosine_coefficient_of_one(angle: float) -> float:
+    """:func:`cosine_coefficient` of a single angle."""
     half = 0.5 * angle
-    first = 0.5 * (math.sin(half) / half) ** 2 if half > 0.0 else 0.5
+    return 0.5 * (math.sin(half) / half) ** 2 if half > 0.0 else 0.5
+
+
+def sine_coefficient_of_one(angle: float) -> float:
+    """:func:`sine_coefficient` of a single angle."""
     small = angle < _SMALL_ANGLE
-    second = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - math.sin(angle)) / angle**3
-    xy, xz, yz = second * x * y, second * x * z, second * y * z
-    x, y, z = first * x, first * y, first * z
-    return np.array(
-        [
-            [1.0 - second * (yy + zz), xy - z, xz + y],
-            [xy + z, 1.0 - second * (xx + zz), yz - x],
-            [xz - y, yz + x, 1.0 - second * (xx + yy)],
-        ]
-    )
+    return 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - math.sin(angle)) / angle**3
 
 
 def cosine_coefficient(angle: Array) -> Array:
