@@ -1,5 +1,6 @@
 """The recorded twist as the filter's motion model, and the choice of the model."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ from vislam.models.imu import STATES
 from vislam.models.odometry import POSE
 from vislam.models.shared_errors import CLOCK, VELOCITY_DIRECTION, SharedPrior
 
+_SIX = np.eye(6)
+
 
 class Height:
     """The vertical velocity as a measurement of the height, where it is in use.
@@ -57,7 +60,7 @@ class Height:
     def propagate(self, layout: NavLayout, frame: Frame, change: Array, noise: Array) -> None:
         """Integrate the vertical velocity into ``change`` and ``noise`` of a :class:`Propagation`."""
         if self._noise is not None:
-            known, height = np.isfinite(frame.odometry.vertical_velocity), layout["height"]
+            known, height = math.isfinite(frame.odometry.vertical_velocity), layout["height"]
             change[height] = frame.dt * frame.odometry.vertical_velocity if known else 0.0
             walk = frame.dt * self._noise.walk**2
             noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
@@ -195,6 +198,7 @@ class SmoothMotion(OdometryMotion):
         super().__init__(problem)
         assert problem.noise.acceleration is not None
         self._acceleration = problem.noise.acceleration
+        self._bias_walk = np.diag(problem.noise.bias_walk**2)
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use; the first twist has a weak prior at the first inertial sample."""
@@ -219,11 +223,10 @@ class SmoothMotion(OdometryMotion):
         transition[POSE, POSE] = se3.adjoint(se3.inverse(prev_T_next))
         transition[POSE, twist] = dt * right
         transition[step, step] = 0.0
-        transition[step, twist] = dt * np.eye(6)
-        by_noise = _by_noise(layout, nav, dt, right=right)
-        white = np.kron(_of_acceleration(dt), np.diag(self._acceleration**2))
-        noise = by_noise @ white @ by_noise.T
-        noise[bias, bias] += dt * np.diag(self._problem.noise.bias_walk**2)
+        transition[step, twist] = dt * _SIX
+        by = self._by_acceleration(layout, nav, dt, right=right)
+        noise = by @ by.T
+        noise[bias, bias] += dt * self._bias_walk
         self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(prev_T_next, change, transition, noise)
@@ -237,8 +240,7 @@ class SmoothMotion(OdometryMotion):
                 Input(0, OF_TWIST, first, np.eye(6)),
             ]
         right = se3.right_jacobian(frame.dt * nav[layout["twist"]])
-        factor = np.kron(np.linalg.cholesky(_of_acceleration(frame.dt)), np.diag(self._acceleration))
-        by = _by_noise(layout, nav, frame.dt, right=right) @ factor
+        by = self._by_acceleration(layout, nav, frame.dt, right=right)
         return [StateNoise(frame.k, ACCELERATION, 0, by[None]), *self._height.entering(layout, frame)]
 
     def measurements(
@@ -249,8 +251,8 @@ class SmoothMotion(OdometryMotion):
         if frame.k == 0:
             return found
         by_nav = np.zeros((6, layout.size))
-        by_nav[:, layout["step"]] = np.eye(6) / frame.dt
-        by_nav[:, layout["twist_bias"]] = np.eye(6)
+        by_nav[:, layout["step"]] = _SIX / frame.dt
+        by_nav[:, layout["twist_bias"]] = _SIX
         predicted = nav[layout["step"]] / frame.dt + nav[layout["twist_bias"]]
         if VELOCITY_DIRECTION in layout:
             by_nav[:, layout[VELOCITY_DIRECTION]] = _across(frame)
@@ -262,22 +264,24 @@ class SmoothMotion(OdometryMotion):
         variance = self._problem.noise.twist**2 / frame.dt
         return [Measurement(frame.odometry.twist - predicted, by_nav, variance, TWIST), *found]
 
+    def _by_acceleration(self, layout: NavLayout, nav: Array, dt: float, *, right: Array) -> Array:
+        """What white noise of the acceleration, of variance 1, does to the state over a step, ``(d, 12)``.
 
-def _by_noise(layout: NavLayout, nav: Array, dt: float, *, right: Array) -> Array:
-    """What w_1 and w_2 do to the pose, the step and the twist after it, ``(d, 12)``.
-
-    ``right (6, 6)`` is the right Jacobian of ``dt`` times the twist.
-    """
-    half = 0.5 * se3.small_adjoint(nav[layout["twist"]])
-    out = np.zeros((layout.size, 12))
-    out[POSE, :6], out[layout["step"], :6] = right, np.eye(6)
-    out[layout["twist"], :6], out[layout["twist"], 6:] = half, np.eye(6) - dt * half
-    return out
-
-
-def _of_acceleration(dt: float) -> Array:
-    """Covariance ``(2, 2)`` of the integrals over a step of white acceleration of density 1."""
-    return np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+        With ``half = 1/2 ad(twist)``, to which J_r^-1 is linearised, w_1 moves pose, step and twist by
+        ``right (6, 6)`` (the right Jacobian of ``dt`` times the twist), 1 and ``half``, w_2 the twist by
+        ``1 - dt half``. The Cholesky factor of their covariance is ``[[a, 0], [b, c]] (x) acceleration``,
+        ``a = dt sqrt(dt / 3), b = sqrt(3 dt) / 2, c = sqrt(dt) / 2``.
+        """
+        root, twist = math.sqrt(dt), layout["twist"]
+        first = (dt * root / math.sqrt(3.0)) * self._acceleration
+        second = (0.5 * root) * self._acceleration
+        both = math.sqrt(3.0) * second
+        half = 0.5 * se3.small_adjoint(nav[twist])
+        out = np.zeros((layout.size, 12))
+        out[POSE, :6], out[layout["step"], :6] = right * first, _SIX * first
+        by_second = _SIX - dt * half
+        out[twist, :6], out[twist, 6:] = half * first + by_second * both, by_second * second
+        return out
 
 
 def make(problem: Problem) -> Motion:
