@@ -136,7 +136,7 @@ def test_nis_is_that_of_the_model(short: Dataset, short_config: Config):
 def test_a_lost_covariance_raises_with_its_smallest_eigenvalue():
     layout = NavLayout({"twist_bias": 6, "clock": 1})
     size = layout.size
-    jacobian = Jacobian(np.eye(3, size), np.empty((0, 3, 4)), np.empty(0, np.int64))
+    jacobian = Jacobian(np.eye(3, size), np.empty((0, 3, 4)), np.empty(0, np.int64), nav=size)
     projected = -np.eye(3, size)
     with pytest.raises(DivergedError, match="smallest eigenvalue of H P H' is -1"):
         Update.of(jacobian, projected, -np.eye(3), np.zeros(3))

@@ -24,6 +24,7 @@ def problem(request):
         generator.standard_normal((3 * n, NAV)),
         np.eye(3) + 0.3 * generator.standard_normal((n, 3, 3)),
         seen if n < LANDMARKS else None,
+        NAV,
     )
     variance = generator.uniform(0.1, 1.0, 3 * n)
     return shared @ shared.T + own @ own.T, jacobian, variance, generator.standard_normal(3 * n)
@@ -84,11 +85,11 @@ def test_both_take_the_adjoint_back_to_one(problem):
 def test_it_is_taken_of_many_landmarks_of_three_coordinates_that_an_observation_shows():
     n = WORTH // 3 + 1
     by_nav, blocks = np.zeros((3 * n, NAV)), np.tile(np.eye(3), (n, 1, 1))
-    assert ObservedUpdate.fits(Jacobian(by_nav, blocks, None))
-    assert not ObservedUpdate.fits(Jacobian(by_nav[:30], blocks[:10], None))
-    assert not ObservedUpdate.fits(Jacobian(by_nav, np.zeros((n, 3, 4)), None))
+    assert ObservedUpdate.fits(Jacobian(by_nav, blocks, None, NAV))
+    assert not ObservedUpdate.fits(Jacobian(by_nav[:30], blocks[:10], None, NAV))
+    assert not ObservedUpdate.fits(Jacobian(by_nav, np.zeros((n, 3, 4)), None, NAV))
     blocks[4, 2] = 0.0
-    assert not ObservedUpdate.fits(Jacobian(by_nav, blocks, None))
+    assert not ObservedUpdate.fits(Jacobian(by_nav, blocks, None, NAV))
 
 
 def test_a_lost_covariance_raises(problem):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from vislam.estimators.ekf import backward, motion, parametrisation
 from vislam.estimators.ekf.backward import Landmarks, Recorder, Smoothed
 from vislam.estimators.ekf.lagged import LastPoses
 from vislam.estimators.ekf.layout import COORDINATES, LANDMARK
-from vislam.estimators.ekf.linear import Correction, Jacobian, Update
+from vislam.estimators.ekf.linear import Correction, Jacobian, Update, diagonal_blocks, squared_distances
 from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.observed import ObservedUpdate
@@ -67,6 +66,7 @@ class EkfEstimator:
         landmark = COORDINATES if self._independent else LANDMARK
         start = motion.navigation(problem, self._motion, landmark=landmark)
         self._layout = start.layout
+        self._no_landmark, self._no_slot = np.empty((0, 3, landmark)), np.empty(0, np.int64)
         self._camera = Camera(problem.rig, parametrisation.make(options.landmarks, problem.rig), start.layout)
         self.state = JointState(
             self._camera.parametrisation,
@@ -296,12 +296,13 @@ class EkfEstimator:
             seen_from = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], first)
         by_nav, by_landmark = seen_from.jacobians()
         some = slots if len(slots) < len(state.track) else None
-        jacobian = Jacobian(by_nav.reshape(-1, self._layout.size), by_landmark, some)
+        jacobian = Jacobian(by_nav.reshape(-1, self._camera.observed), by_landmark, some, self._layout.size)
         value = (z - view.measurement()).reshape(-1)
         if correction is not None:
             by_nav[:, :, POSE] = by_nav[:, :, POSE] @ se3.right_jacobian(correction[POSE])
             value += jacobian.times(correction[:, None])[:, 0]
-        return _Innovation(value, jacobian, jacobian.times(state.cov))
+        projected = jacobian.times(state.cov)
+        return _Innovation(value, jacobian, projected, jacobian.times(projected.T))
 
     def _weighted(self, innovation: "_Innovation", variance: Array, k: int, *, distance: Array) -> Array:
         """Variances ``(n, 3)`` under the kernel, if there is one, that starts from ``distance (n,)``."""
@@ -324,9 +325,10 @@ class EkfEstimator:
         # have to be compared with what the first has made of it.
         by_nav = np.concatenate([one.by_nav for one in found])
         innovation = np.concatenate([one.innovation for one in found])
-        jacobian = Jacobian(by_nav, np.empty((0, 3, self._layout.landmark)), np.empty(0, np.int64))
+        jacobian = Jacobian(by_nav, self._no_landmark, self._no_slot, self._layout.size)
         projected = jacobian.times(state.cov)
-        spread = jacobian.times(projected.T) + np.diag(np.concatenate([one.variance for one in found]))
+        spread = jacobian.times(projected.T)
+        spread.reshape(-1)[:: len(spread) + 1] += np.concatenate([one.variance for one in found])
         update = Update.of(jacobian, projected, spread, innovation)
         if self._scored:
             _note_noise(state, found, k=frame.k)
@@ -384,22 +386,18 @@ class _Innovation:
     jacobian : Jacobian
     projected : (3n, d)
         ``H P``.
+    spread : (3n, 3n)
+        ``H P H^T``.
     """
 
     value: Array
     jacobian: Jacobian
     projected: Array
-
-    @cached_property
-    def spread(self) -> Array:
-        """``H P H^T``, ``(3n, 3n)``."""
-        return self.jacobian.times(self.projected.T)
+    spread: Array
 
     def distances(self, variance: Array) -> Array:
         """Squared Mahalanobis distance ``(n,)`` of each observation of white noise ``variance (n, 3)``."""
-        own = self.jacobian.own_blocks(self.projected) + variance[:, :, None] * np.eye(3)
-        value = self.value.reshape(len(variance), 3)
-        return np.einsum("ni,ni->n", value, np.linalg.solve(own, value[:, :, None])[:, :, 0])
+        return squared_distances(diagonal_blocks(self.spread, 3), variance, self.value.reshape(-1, 3))
 
     def of(self, good: BoolArray) -> "_Innovation":
         """Return those of the good observations."""
@@ -407,8 +405,13 @@ class _Innovation:
             return self
         rows, of = np.flatnonzero(np.repeat(good, 3)), self.jacobian
         slots = np.flatnonzero(good) if of.slots is None else of.slots[good]
-        part = Jacobian(of.by_nav[rows], of.by_landmark[good], slots)
-        return _Innovation(self.value[rows], part, self.projected.take(rows, axis=0))
+        part = Jacobian(of.by_nav[rows], of.by_landmark[good], slots, of.nav)
+        return _Innovation(
+            self.value[rows],
+            part,
+            self.projected.take(rows, axis=0),
+            self.spread.take(rows, axis=0).take(rows, axis=1),
+        )
 
     def update(self, variance: Array) -> Correction:
         """Update with the observations, of white noise ``variance (n, 3)``; uses up its matrices."""

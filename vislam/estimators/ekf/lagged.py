@@ -84,8 +84,8 @@ class LastPoses:
         elif isinstance(step, Keep):
             self._rows = self._rows[:, step.rows]
         elif isinstance(step, Append):
-            nav = step.by_nav.shape[1]
-            self._rows = np.hstack([self._rows, self._rows[:, :nav] @ step.by_nav.T])
+            of_nav = self._rows[:, : step.by_nav.shape[1]]
+            self._rows = np.hstack([self._rows, of_nav @ step.by_nav.T])
         elif isinstance(step, Move):
             nav = len(step.transition)
             self._rows[:, :nav] = self._rows[:, :nav] @ step.transition.T

@@ -12,6 +12,7 @@ inverse of a covariance.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.blas import dgemm, dtrsm, dtrsv
@@ -23,6 +24,8 @@ from vislam.models.odometry import POSE
 
 _BLOCK = 128
 _LOWER = np.tri(_BLOCK, k=-1, dtype=bool)
+_FEW = 16
+"""Rows of a measurement up to which reading and writing the covariance takes longer than the product."""
 
 
 @dataclass
@@ -89,50 +92,46 @@ class Jacobian:
 
     Attributes
     ----------
-    by_nav : (m, d_nav)
+    by_nav : (m, c)
+        By the first c components of the navigation state; it does not depend on the others.
     by_landmark : (n, 3, s)
         Of the first 3n rows, s being the size of a landmark's error; m - 3n further rows see no landmark.
     slots : (n,) or None
         Which landmarks these are; None for all, in order.
+    nav : int
+        Size of the navigation state.
     """
 
     by_nav: Array
     by_landmark: Array
     slots: IntArray | None
+    nav: int
 
     def times(self, matrix: Array) -> Array:
         """``H A``, ``(m, k)``, for ``A (d, k)``."""
-        (n, _, size), columns, nav = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
+        (n, _, size), columns = self.by_landmark.shape, matrix.shape[1]
+        of_nav = matrix[: self.by_nav.shape[1]]
         if not n:
-            return self.by_nav @ matrix[:nav]
-        blocks = matrix[nav:].reshape(-1, size, columns)
+            return self.by_nav @ of_nav
+        blocks = matrix[self.nav :].reshape(-1, size, columns)
         if self.slots is not None:
             blocks = blocks[self.slots]
         out = np.empty((len(self.by_nav), columns))
         out[3 * n :] = 0.0
         np.matmul(self.by_landmark, blocks, out=out[: 3 * n].reshape(n, 3, columns))
-        out += self.by_nav @ matrix[:nav]
-        return out
-
-    def own_blocks(self, projected: Array) -> Array:
-        """Blocks on the diagonal of ``H P H^T``, ``(n, 3, 3)``, from ``projected = H P (3n, d)``."""
-        n, _, size = self.by_landmark.shape
-        each, nav = np.arange(n), self.by_nav.shape[1]
-        slots = each if self.slots is None else self.slots
-        rows = projected.reshape(n, 3, -1)
-        of_landmark = rows[:, :, nav:].reshape(n, 3, -1, size)[each, :, slots]
-        out = rows[:, :, :nav] @ self.by_nav.reshape(n, 3, nav).transpose(0, 2, 1)
-        return np.asarray(out + of_landmark @ self.by_landmark.transpose(0, 2, 1))
+        # In place, for the transpose of a C-ordered matrix is what Fortran wants.
+        return dgemm(1.0, of_nav.T, self.by_nav.T, beta=1.0, c=out.T, overwrite_c=1).T
 
     def transposed_times(self, matrix: Array, *, size: int) -> Array:
         """``H^T A``, ``(d, k)``, for ``A (m, k)``."""
-        (n, _, own), columns, nav = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
+        (n, _, own), columns, seen = self.by_landmark.shape, matrix.shape[1], self.by_nav.shape[1]
         out = np.empty((size, columns))
-        np.matmul(self.by_nav.T, matrix, out=out[:nav])
+        np.matmul(self.by_nav.T, matrix, out=out[:seen])
+        out[seen : self.nav] = 0.0
         if not n:
-            out[nav:] = 0.0
+            out[self.nav :] = 0.0
             return out
-        blocks = out[nav:].reshape(-1, own, columns)
+        blocks = out[self.nav :].reshape(-1, own, columns)
         found = self.by_landmark.transpose(0, 2, 1) @ matrix[: 3 * n].reshape(n, 3, columns)
         if self.slots is None:
             blocks[...] = found
@@ -335,7 +334,14 @@ class Update(Correction):
 
     def forward(self, cov: Array) -> None:
         """Take ``W^T W`` off the covariance: symmetric to the last bit."""
-        cov -= self.whitened_gain.T @ self.whitened_gain
+        gain = self.whitened_gain
+        if len(gain) > _FEW:
+            cov -= gain.T @ gain
+            return
+        # In one pass over cov, which is its own transpose; with few rows that is more than half the product.
+        out = dgemm(-1.0, gain.T, gain.T, beta=1.0, c=cov.T, trans_b=1, overwrite_c=1)
+        if not np.may_share_memory(out, cov):
+            cov[...] = out.T
 
     def tell(self, rows: Array) -> Told:
         """What it says of quantities whose covariance with the state is ``rows (k, d)``."""
@@ -364,6 +370,36 @@ def cholesky(spread: Array, jacobian: Jacobian, projected: Array) -> Array:
         smallest = float(np.linalg.eigvalsh(jacobian.times(projected.T))[0])
         raise DivergedError(f"innovation covariance lost, smallest eigenvalue of H P H' is {smallest:.3g}")
     return factor
+
+
+def diagonal_blocks(matrix: Array, size: int) -> Array:
+    """Blocks ``(n, size, size)`` on the diagonal of a C-ordered matrix, to be written to as well."""
+    n = len(matrix) // size
+    return np.einsum("iaib->iab", matrix.reshape(n, size, n, size))
+
+
+def squared_distances(cov: Array, variance: Array, value: Array) -> Array:
+    """Squared Mahalanobis distances ``(n,)`` of vectors of three, by ``L D L^T`` of each covariance.
+
+    Parameters
+    ----------
+    cov : (n, 3, 3)
+        Of which the lower half is read.
+    variance : (n, 3)
+        What is added to its diagonals.
+    value : (n, 3)
+    """
+    x, y, z = value.T
+    a, b, c = variance.T
+    yx, zx = cov[:, 1, 0], cov[:, 2, 0]
+    first = cov[:, 0, 0] + a
+    of_y, of_z = yx / first, zx / first
+    second = cov[:, 1, 1] + b - of_y * yx
+    zy = cov[:, 2, 1] - of_z * yx
+    third = cov[:, 2, 2] + c - of_z * zx - zy * zy / second
+    y = y - of_y * x
+    z = z - of_z * x - zy / second * y
+    return np.asarray(x * x / first + y * y / second + z * z / third)
 
 
 def mirror(upper: Array) -> Array:
@@ -453,36 +489,34 @@ class Append(Step):
 
     Attributes
     ----------
-    by_nav : (k, d_nav)
-        G.
+    by_nav : (k, c)
+        G, of the first c components of the navigation state; they are no functions of the others.
     """
 
     by_nav: Array
 
     def forward(self, cov: Array, noise: Array) -> Array:
         """Grow the covariance; ``noise (n, s, s)`` is that of each new landmark."""
-        size, (added, nav), (n, own_size, _) = len(cov), self.by_nav.shape, noise.shape
+        size, (added, seen) = len(cov), self.by_nav.shape
         out = np.empty((size + added, size + added))
         out[:size, :size] = cov
-        out[size:, :size] = self.by_nav @ cov[:nav]
-        out[:size, size:] = out[size:, :size].T
-        own = out[size:, :nav] @ self.by_nav.T
-        blocks = own.reshape(n, own_size, n, own_size)
-        each = np.arange(n)
-        blocks[each, :, each, :] += noise
+        cross = np.matmul(self.by_nav, cov[:seen], out=out[size:, :size])
+        out[:size, size:] = cross.T
+        own = cross[:, :seen] @ self.by_nav.T
+        diagonal_blocks(own, noise.shape[1])[...] += noise
         out[size:, size:] = own
         return out
 
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- G^T N G`` on the navigation state, the rest as it was."""
-        size, nav = len(after.vectors) - len(self.by_nav), self.by_nav.shape[1]
+        size, seen = len(after.vectors) - len(self.by_nav), self.by_nav.shape[1]
         information = after.information[:size, :size].copy()
         mixed = self.by_nav.T @ after.information[size:]
-        information[:nav] += mixed[:, :size]
-        information[:, :nav] += mixed[:, :size].T
-        information[:nav, :nav] += mixed[:, size:] @ self.by_nav
+        information[:seen] += mixed[:, :size]
+        information[:, :seen] += mixed[:, :size].T
+        information[:seen, :seen] += mixed[:, size:] @ self.by_nav
         vectors = after.vectors[:size].copy()
-        vectors[:nav] += self.by_nav.T @ after.vectors[size:]
+        vectors[:seen] += self.by_nav.T @ after.vectors[size:]
         return Adjoint(information, vectors)
 
 
@@ -498,10 +532,14 @@ class Keep(Step):
 
     rows: BoolArray
 
+    @cached_property
+    def kept(self) -> IntArray:
+        """The same, by number."""
+        return np.flatnonzero(self.rows)
+
     def forward(self, cov: Array) -> Array:
         """Cut the other rows and columns out."""
-        kept = np.flatnonzero(self.rows)
-        return cov.take(kept, axis=0).take(kept, axis=1)
+        return cov.take(self.kept, axis=0).take(self.kept, axis=1)
 
     def back(self, after: Adjoint) -> Adjoint:
         """Nothing more is said directly of what has gone."""

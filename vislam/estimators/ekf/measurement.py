@@ -22,6 +22,7 @@ is shared, so a motion of the world, which changes no observation whatever these
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,10 +32,11 @@ from vislam.estimators.ekf.parametrisation import Parametrisation
 from vislam.geometry import se3, so3
 from vislam.models import CameraErrors, StereoRig
 from vislam.models.odometry import POSE
-from vislam.models.shared_errors import CAMERA_ROTATION, OF_CAMERA, OF_PIXELS
+from vislam.models.shared_errors import CAMERA_ROTATION, OF_CAMERA
 
 _FARTHEST = 1e-9
 """Smallest w that a depth is taken of: what is farther, or beyond infinity, is very far."""
+_NO_ERRORS = CameraErrors()
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,27 @@ class Camera:
     parametrisation: Parametrisation
     layout: NavLayout
 
+    @cached_property
+    def observed(self) -> int:
+        """The first so many components of the navigation state are all that observations depend on.
+
+        Of those behind the pose that is the shared errors of the camera, which stand last.
+        """
+        return self.layout.size if self._has_errors else POSE.stop
+
+    @cached_property
+    def _has_errors(self) -> bool:
+        return any(name in self.layout for name in OF_CAMERA)
+
     def errors(self, nav: Array) -> CameraErrors:
         """Shared errors of a navigation state ``(d_nav,)``."""
+        if not self._has_errors:
+            return _NO_ERRORS
         return CameraErrors.of({name: nav[self.layout[name]] for name in OF_CAMERA if name in self.layout})
 
     def actual(self, errors: CameraErrors) -> StereoRig:
         """Rig with these errors; the stated one where the layout has none."""
-        return errors.rig(self.rig) if any(name in self.layout for name in OF_CAMERA) else self.rig
+        return errors.rig(self.rig) if self._has_errors else self.rig
 
     def view(self, world_T_imu: Array, nav: Array, anchors: Array, landmarks: Array) -> "View":
         """Look at landmarks from a pose, with the shared errors of a navigation state.
@@ -75,9 +91,13 @@ class Camera:
         """
         errors = self.errors(nav)
         rig = self.actual(errors)
-        cam_T_anchor = se3.inverse(world_T_imu @ rig.imu_T_cam) @ anchors
+        cam_T_anchor = se3.inverse(world_T_imu @ rig.imu_T_cam)
         homogeneous = self.parametrisation.homogeneous(landmarks[:, :3])
-        in_camera = (cam_T_anchor @ homogeneous[:, :, None])[:, :, 0]
+        if self.parametrisation.anchored:
+            cam_T_anchor = cam_T_anchor @ anchors
+            in_camera = (cam_T_anchor @ homogeneous[:, :, None])[:, :, 0]
+        else:
+            in_camera = homogeneous @ cam_T_anchor.T
         return View(self, errors, rig, landmarks, homogeneous, cam_T_anchor, in_camera)
 
     def initialise(self, world_T_imu: Array, nav: Array, z: Array) -> tuple[Array, Array, Array, Array]:
@@ -95,26 +115,22 @@ class Camera:
         -------
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, s, d_nav)
-            Derivative of the landmark's error, of the layout's size s, with respect to the navigation state.
+        by_nav : (n, s, c)
+            Derivative of the landmark's error, of the layout's size s, with respect to the first c components
+            of the navigation state, those that are :attr:`observed`.
         by_measurement : (n, s, s)
             Derivative with respect to (uL, uR, v) and to the stereo-matching bias, if it is in the error.
         """
         errors, parametrisation, n = self.errors(nav), self.parametrisation, len(z)
         rig = self.actual(errors)
-        world_T_cam = world_T_imu @ rig.imu_T_cam
-        anchor = world_T_cam if parametrisation.anchored else np.eye(4)
-        anchor_T_cam = np.eye(4) if parametrisation.anchored else world_T_cam
+        anchor, anchor_T_cam, anchor_T_imu = np.eye(4), world_T_imu @ rig.imu_T_cam, world_T_imu
+        if parametrisation.anchored:
+            anchor, anchor_T_cam, anchor_T_imu = anchor_T_cam, anchor, rig.cam_T_imu
         disparity = z[:, 0] - z[:, 1] - errors.disparity_offset
         per_disparity = 1.0 / (rig.fx * rig.baseline)
-        in_camera = np.column_stack(
-            [
-                (z[:, 0] - rig.cx) / rig.fx,
-                (z[:, 2] - rig.cy) / rig.fy,
-                np.ones(n),
-                disparity * per_disparity,
-            ]
-        )
+        in_camera = np.ones((n, 4))
+        in_camera[:, 0], in_camera[:, 1] = (z[:, 0] - rig.cx) / rig.fx, (z[:, 2] - rig.cy) / rig.fy
+        in_camera[:, 3] = disparity * per_disparity
         in_anchor = in_camera @ anchor_T_cam.T
         landmarks = np.zeros((n, LANDMARK))
         landmarks[:, :3] = parametrisation.coordinates(in_anchor)
@@ -128,9 +144,8 @@ class Camera:
             # The disparity of the point itself is (uL - uR - o) / (1 + e).
             by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
             by_measurement[:, 3, 3] = 1.0
-        by_nav = np.zeros((n, size, self.layout.size))
-        imu_to_anchor = se3.adjoint(se3.inverse(anchor) @ world_T_imu)
-        by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3]) @ imu_to_anchor
+        by_nav = np.zeros((n, size, self.observed))
+        by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3]) @ se3.adjoint(anchor_T_imu)
         self.add_rotation(by_nav, errors, by_nav[..., POSE])
         for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
             by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
@@ -165,7 +180,8 @@ class View:
     landmarks : (n, 4)
     homogeneous : (n, 4)
         Their points in their anchors.
-    cam_T_anchor : (n, 4, 4)
+    cam_T_anchor : (n, 4, 4) or (4, 4)
+        Of each landmark, or of all where the anchor is the world.
     in_camera : (n, 4)
         Their points in the left camera, of the same scale.
     """
@@ -187,50 +203,52 @@ class View:
         """Measurements (uL, uR, v), ``(n, 3)`` [px]."""
         rig = self.rig
         x, y, z, w = self.in_camera.T
+        stretch = 1.0 + self.landmarks[:, 3]
         column = rig.fx * x / z + rig.cx
-        disparity = (
-            1.0 + self.landmarks[:, 3]
-        ) * rig.fx * rig.baseline * w / z + self.errors.disparity_offset
-        return np.column_stack([column, column - disparity, rig.fy * y / z + rig.cy])
+        out = np.empty((len(z), 3))
+        out[:, 0], out[:, 2] = column, rig.fy * y / z + rig.cy
+        out[:, 1] = column - (stretch * (rig.fx * rig.baseline) * w / z + self.errors.disparity_offset)
+        return out
 
     def jacobians(self) -> tuple[Array, Array]:
         """H of :meth:`measurement`.
 
         Returns
         -------
-        by_nav : (n, 3, d_nav)
-            With respect to the navigation state. Its pose block has minus the circle-dot operator of the
-            point in the body (Barfoot 2017, section 7.1.8); the course report's eq. 26 lacks sign and
-            inverse.
+        by_nav : (n, 3, c)
+            With respect to the first c components of the navigation state, those that are observed. The pose
+            block has minus the circle-dot operator of the point in the body (Barfoot 2017, section 7.1.8);
+            the course report's eq. 26 lacks sign and inverse.
         by_landmark : (n, 3, s)
             With respect to the landmark, by the chain rule (course report, eq. 19), and to its
             stereo-matching bias, if it is in the error.
         """
-        rig = self.rig
+        camera, rig, n = self.camera, self.rig, len(self.in_camera)
         x, y, z, w = self.in_camera.T
+        near = 1.0 / z
+        by_column, by_row = rig.fx * near, rig.fy * near
+        disparity = (rig.fx * rig.baseline) * w * near
         stretch = 1.0 + self.landmarks[:, 3]
-        disparity = rig.fx * rig.baseline * w / z
-        by_camera = np.zeros((len(z), 3, 4))
-        by_camera[:, 0, 0] = by_camera[:, 1, 0] = rig.fx / z
-        by_camera[:, 0, 2] = by_camera[:, 1, 2] = -rig.fx * x / z**2
-        by_camera[:, 2, 1] = rig.fy / z
-        by_camera[:, 2, 2] = -rig.fy * y / z**2
-        by_camera[:, 1, 2] += stretch * disparity / z
-        by_camera[:, 1, 3] = -stretch * rig.fx * rig.baseline / z
+        by_camera = np.zeros((n, 3, 4))
+        by_camera[:, 0, 0] = by_camera[:, 1, 0] = by_column
+        by_camera[:, 0, 2] = by_x_depth = -by_column * x * near
+        by_camera[:, 1, 2] = by_x_depth + stretch * disparity * near
+        by_camera[:, 1, 3] = stretch * (-rig.baseline * by_column)
+        by_camera[:, 2, 1] = by_row
+        by_camera[:, 2, 2] = -by_row * y * near
         in_imu = self.in_camera @ rig.imu_T_cam[:3].T
         by_imu = by_camera[:, :, :3] @ rig.cam_T_imu[:3, :3]
-        layout = self.camera.layout
-        by_nav = np.zeros((len(z), 3, layout.size))
+        by_nav = np.zeros((n, 3, camera.observed))
         by_nav[:, :, :3] = by_imu @ so3.hat(in_imu)
-        by_nav[:, :, 3:6] = -w[:, None, None] * by_imu
-        self.camera.add_rotation(by_nav, self.errors, by_nav[..., POSE])
-        if any(name in layout for name in OF_PIXELS):
-            shared = self.errors.by_pixel_errors(self.measurement(), self.camera.rig, layout)
+        by_nav[:, :, 3:6] = by_imu * -w[:, None, None]
+        if camera.observed > POSE.stop:
+            camera.add_rotation(by_nav, self.errors, by_nav[..., POSE])
+            shared = self.errors.by_pixel_errors(self.measurement(), camera.rig, camera.layout)
             for name, columns in shared.items():
-                by_nav[:, :, layout[name]] = columns
-        by_landmark = np.zeros((len(z), 3, layout.landmark))
-        by_landmark[:, :, :3] = by_camera @ (self.cam_T_anchor @ self.camera.parametrisation.linear)
-        if layout.landmark == LANDMARK:
+                by_nav[:, :, camera.layout[name]] = columns
+        by_landmark = by_camera @ (self.cam_T_anchor @ camera.parametrisation.linear)
+        if camera.layout.landmark == LANDMARK:
+            by_landmark = np.concatenate([by_landmark, np.zeros((n, 3, 1))], axis=2)
             by_landmark[:, 1, 3] = -disparity
         return by_nav, by_landmark
 
@@ -242,7 +260,7 @@ class View:
     def drift_step(self, drift: float) -> Array:
         """Change of the coordinates ``(n, 3, 2)`` by ``drift`` [px] in column and row, at constant depth."""
         rig = self.rig
-        lateral = self.cam_T_anchor[:, :2, :3].transpose(0, 2, 1) * (
+        lateral = np.swapaxes(self.cam_T_anchor[..., :2, :3], -1, -2) * (
             self.in_camera[:, 2, None, None] * np.array([drift / rig.fx, drift / rig.fy])
         )
         return np.asarray(

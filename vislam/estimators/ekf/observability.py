@@ -65,7 +65,7 @@ class Unobservable:
                     held[len(held) - len(step.rest) :] += step.rest @ held[POSE]
                 held[POSE] = step.pose @ held[POSE]
             case Append():
-                self.directions = np.concatenate([held, step.by_nav @ held[:nav]])
+                self.directions = np.concatenate([held, step.by_nav @ held[: step.by_nav.shape[1]]])
             case Keep():
                 self.directions = held[step.rows]
         return np.zeros(6)

@@ -26,7 +26,7 @@ from scipy.linalg.lapack import dpotri
 
 from vislam.base.types import Array, IntArray
 from vislam.estimators.ekf.layout import COORDINATES
-from vislam.estimators.ekf.linear import Correction, Jacobian, Told, cholesky, mirror
+from vislam.estimators.ekf.linear import Correction, Jacobian, Told, cholesky, diagonal_blocks, mirror
 
 WORTH = 300
 """Rows of a measurement from which on this update takes less time than the other."""
@@ -92,9 +92,9 @@ class ObservedUpdate(Correction):
         DivergedError
             If S is not positive definite.
         """
-        nav, (n, _, size) = jacobian.by_nav.shape[1], jacobian.by_landmark.shape
+        n, _, size = jacobian.by_landmark.shape
         slots = np.arange(n) if jacobian.slots is None else jacobian.slots
-        observed = (nav + size * slots[:, None] + np.arange(size)).reshape(-1)
+        observed = (jacobian.nav + size * slots[:, None] + np.arange(size)).reshape(-1)
         others = np.ones(projected.shape[1], bool)
         others[observed] = False
         rest = np.flatnonzero(others)
@@ -145,7 +145,7 @@ class ObservedUpdate(Correction):
         out = np.empty(len(self.rest) + len(self.observed))
         rest = self.innovation @ self.solved
         out[self.rest] = rest
-        moved = self.innovation - self.variance * self.weighted - self.jacobian.by_nav @ rest[: self._nav]
+        moved = self.innovation - self.variance * self.weighted - self.jacobian.by_nav @ rest[: self._seen]
         out[self.observed] = (self.by_observation @ moved.reshape(-1, 3, 1)).reshape(-1)
         return out
 
@@ -155,7 +155,7 @@ class ObservedUpdate(Correction):
         m = len(self.variance)
         out = np.empty((len(self.rest) + m, m))
         out[self.rest] = self.solved.T
-        of_y = self.jacobian.by_nav @ self.solved[:, : self._nav].T
+        of_y = self.jacobian.by_nav @ self.solved[:, : self._seen].T
         of_y += self.variance[:, None] * self.precision
         np.negative(of_y, out=of_y)
         of_y.reshape(-1)[:: m + 1] += 1.0
@@ -169,19 +169,17 @@ class ObservedUpdate(Correction):
 
     def forward(self, cov: Array) -> None:
         """Set the covariance to that after the update; symmetric to rounding."""
-        nav, scale = self._nav, self.by_observation * self.variance.reshape(-1, 1, 3)
+        seen, scale = self._seen, self.by_observation * self.variance.reshape(-1, 1, 3)
         rest = cov[np.ix_(self.rest, self.rest)] - self.loss
-        by_nav = (self.by_observation @ self.jacobian.by_nav.reshape(-1, 3, nav)).reshape(-1, nav)
+        by_nav = (self.by_observation @ self.jacobian.by_nav.reshape(-1, 3, seen)).reshape(-1, seen)
         scaled = _blocks_times(scale, self.solved)
-        half = scaled[:, :nav] - 0.5 * (by_nav @ rest[:nav, :nav])
+        half = scaled[:, :seen] - 0.5 * (by_nav @ rest[:seen, :seen])
         own = _blocks_times(scale, _blocks_times(scale, self.precision).T)
         # G half^T + half G^T, G = A H_x, in place: what Fortran takes for the transpose is the same matrix.
         left, right = np.hstack([by_nav, half]), np.hstack([half, by_nav])
         own = dgemm(-1.0, left.T, right.T, beta=-1.0, c=own.T, trans_a=1, overwrite_c=1).T
-        n = len(scale)
-        each = np.arange(n)
-        own.reshape(n, 3, n, 3)[each, :, each] += scale @ self.by_observation.transpose(0, 2, 1)
-        cross = scaled - by_nav @ rest[:nav]
+        diagonal_blocks(own, 3)[...] += scale @ self.by_observation.transpose(0, 2, 1)
+        cross = scaled - by_nav @ rest[:seen]
         cov[np.ix_(self.rest, self.rest)] = rest
         cov[np.ix_(self.observed, self.rest)] = cross
         cov[np.ix_(self.rest, self.observed)] = cross.T
@@ -198,7 +196,7 @@ class ObservedUpdate(Correction):
         out = np.empty(rows.shape)
         rest = rows[:, self.rest] - seen @ self.solved
         out[:, self.rest] = rest
-        of_y = solved * self.variance - rest[:, : self._nav] @ self.jacobian.by_nav.T
+        of_y = solved * self.variance - rest[:, : self._seen] @ self.jacobian.by_nav.T
         out[:, self.observed] = _blocks_times(self.by_observation, of_y.T).T
         return Told(seen @ self.weighted, seen, solved, out)
 
@@ -209,7 +207,8 @@ class ObservedUpdate(Correction):
         return super().nbytes + held.by_nav.nbytes + held.by_landmark.nbytes
 
     @property
-    def _nav(self) -> int:
+    def _seen(self) -> int:
+        """Components of the navigation state that the observations depend on."""
         return self.jacobian.by_nav.shape[1]
 
 

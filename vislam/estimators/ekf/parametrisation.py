@@ -23,7 +23,8 @@ from vislam.models import StereoRig
 
 ParametrisationName = Literal["point", "anchored_uvd"]
 
-_AXES = np.arange(3)
+_W = 3
+"""The last component of a homogeneous point."""
 _FARTHEST = 1e-4
 """Smallest w for which a point is returned: 10 km where z is 1 [1/m]."""
 
@@ -66,11 +67,14 @@ class Parametrisation:
     def moved(self, q: Array) -> Array:
         """Derivative ``(n, 3, 6)`` of the coordinates by a motion (omega, v) of the anchor frame."""
         homogeneous = self.homogeneous(q)
-        by_motion = np.zeros((len(q), 4, 6))
-        by_motion[:, :3, :3] = so3.hat(-homogeneous[:, :3])
-        by_motion[:, _AXES, 3 + _AXES] = homogeneous[:, 3, None]
-        by_motion -= homogeneous[:, :, None] * by_motion[:, self.one, None, :]
-        return np.asarray(self._inverse @ by_motion)
+        # Of X by the motion, and of the coordinates by X with the component that is 1 held; w moves nothing.
+        by_x = np.repeat(self._inverse[None, :, :3], len(q), axis=0)
+        if self.one < _W:
+            by_x[:, :, self.one] -= homogeneous @ self._inverse.T
+        out = np.empty((len(q), 3, 6))
+        np.matmul(by_x, so3.hat(-homogeneous[:, :3]), out=out[:, :, :3])
+        np.multiply(by_x, homogeneous[:, _W, None, None], out=out[:, :, 3:])
+        return out
 
     def points(self, q: Array) -> tuple[Array, Array]:
         """Euclidean points ``(n, 3)`` [m] in the anchor, and their derivatives ``(n, 3, 3)``."""

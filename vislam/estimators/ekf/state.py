@@ -1,13 +1,13 @@
 """The joint state of the filter: mean, covariance, and the steps it has taken."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
-from vislam.estimators.ekf.layout import LANDMARK, NavLayout
+from vislam.estimators.ekf.layout import COORDINATES, LANDMARK, NavLayout
 from vislam.estimators.ekf.linear import Append, Correction, Keep, Move, Reset, Step
 from vislam.estimators.ekf.parametrisation import Parametrisation
 from vislam.estimators.ekf.propagation import Propagation
@@ -159,9 +159,9 @@ class JointState:
 
     def add_drift(self, slots: IntArray, noise: Array) -> None:
         """Let coordinates of some landmarks walk by steps of covariance ``(n, 3, 3)``: their tracks drift."""
-        n, nav, size = len(self.track), self.layout.size, self.layout.landmark
-        blocks = self.cov[nav:, nav:].reshape(n, size, n, size)
-        blocks[slots, :3, slots, :3] += noise
+        nav, size = self.layout.size, self.layout.landmark
+        rows = nav + size * slots[:, None] + np.arange(COORDINATES)
+        self.cov[rows[:, :, None], rows[:, None, :]] += noise
 
     def correct(self, update: Correction) -> None:
         """Take an update.
@@ -172,7 +172,7 @@ class JointState:
             If a variance is negative afterwards.
         """
         update.forward(self.cov)
-        if not np.diagonal(self.cov).min() >= 0.0:
+        if not self.cov.diagonal().min() >= 0.0:
             smallest = float(np.linalg.eigvalsh(self.cov)[0]) if np.isfinite(self.cov).all() else np.nan
             raise DivergedError(f"covariance lost, smallest eigenvalue {smallest:.3g}")
         self.note(update)
@@ -198,13 +198,14 @@ class JointState:
         track : (n,)
         anchors : (n, 4, 4)
         landmarks : (n, 4)
-        by_nav : (n, s, d_nav)
+        by_nav : (n, s, c)
+            By the first c components of the navigation state; they are no functions of the others.
         noise : (n, s, s)
             Covariances for a known navigation state.
         seen_at : int
             The frame.
         """
-        step = Append(by_nav.reshape(-1, self.layout.size))
+        step = Append(by_nav.reshape(-1, by_nav.shape[2]))
         self.cov = step.forward(self.cov, noise)
         self.note(step)
         self.track = np.concatenate([self.track, track])
@@ -215,28 +216,36 @@ class JointState:
 
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: drop their rows and columns."""
-        step = Keep(np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)]))
-        left = None if self.steps is None else self.marginalised(np.flatnonzero(~mask))
+        stays = np.flatnonzero(mask)
+        rows = np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)])
+        step, left = Keep(rows), None
+        if self.steps is not None:
+            # Later data speak of what has stayed alone, so its columns are all that the backward pass needs.
+            left = self.marginalised(np.flatnonzero(~mask), of=step.kept)
         self.cov = step.forward(self.cov)
         self.note(step)
         if left is not None:
-            # Later data speak of what has stayed alone, so its columns are all that the backward pass needs.
-            self.note(replace(left, rows=left.rows[:, :, step.rows]))
-        self.track, self.anchors = self.track[mask], self.anchors[mask]
-        self.landmarks, self.first = self.landmarks[mask], self.first[mask]
-        self.seen_at = self.seen_at[mask]
+            self.note(left)
+        self.track, self.anchors = self.track[stays], self.anchors[stays]
+        self.landmarks, self.first = self.landmarks[stays], self.first[stays]
+        self.seen_at = self.seen_at[stays]
 
-    def marginalised(self, slots: IntArray) -> "Marginalised":
-        """Estimates of some landmarks before they are marginalised."""
+    def marginalised(self, slots: IntArray, *, of: IntArray | None = None) -> "Marginalised":
+        """Estimates of some landmarks before they are marginalised.
+
+        Their covariance is that with the components ``of (d,)`` of the state; None: with all.
+        """
         nav, size = self.layout.size, self.layout.landmark
-        rows = self.cov[nav:].reshape(-1, size, len(self.cov))[slots, :3]
-        columns = nav + size * slots[:, None] + np.arange(3)
+        own = nav + size * slots[:, None] + np.arange(COORDINATES)
+        rows = self.cov.take(own.reshape(-1), axis=0)
+        if of is not None:
+            rows = rows.take(of, axis=1)
         return Marginalised(
             track=self.track[slots],
             q=self.landmarks[slots, :3],
             anchors=self.anchors[slots],
-            rows=rows,
-            cov=np.take_along_axis(rows, columns[:, None, :], axis=2),
+            rows=rows.reshape(len(slots), COORDINATES, rows.shape[1]),
+            cov=self.cov[own[:, :, None], own[:, None, :]],
         )
 
     def note_pose(self) -> None:

@@ -114,7 +114,7 @@ class Window:
         DivergedError
             If a variance is negative afterwards.
         """
-        h = Jacobian(jacobian, _NO_LANDMARK, _NO_SLOT)
+        h = Jacobian(jacobian, _NO_LANDMARK, _NO_SLOT, nav=jacobian.shape[1])
         projected = jacobian @ self.cov
         spread = projected @ jacobian.T
         spread.reshape(-1)[:: len(spread) + 1] += variance
