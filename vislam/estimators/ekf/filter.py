@@ -32,6 +32,8 @@ from vislam.models.odometry import POSE
 _CONVERGED = 1e-3
 """Iterations end when no component of the correction changes by more than this share of its deviation."""
 
+_LOG_2_PI = float(np.log(2.0 * np.pi))
+
 
 class EkfEstimator:
     """Joint EKF over navigation state and the landmarks in view (Barfoot 2017, section 4.2.3).
@@ -93,14 +95,14 @@ class EkfEstimator:
             **self._motion.information,
         }
         self._left: list[Landmarks] = []
-        self._matches: list[Array] = []
+        self._matches: list[tuple[IntArray, Array, Array]] = []
+        self._match = (self.state.track, self.state.track, self.state.track)
         self._not_converged: set[int] = set()
 
     def process(self, frame: Frame) -> Step:
         """Take one frame."""
         if frame.keyframe:
-            staying = self._staying(self.state, _places(self.state.track, frame.stereo.track))
-            self._record_marginalised(staying)
+            self._record_marginalised(self._staying(self.state, self._matched(self.state, frame)))
         if self._recorder is not None:
             record = self._recorder.take(self.state, frame)
             steps = self._recorder.latest
@@ -152,15 +154,15 @@ class EkfEstimator:
 
     def matching_biases(self) -> tuple[IntArray, Array, Array]:
         """Tracks that have ended, their stereo-matching biases and the variances of these, ``(m,)`` each."""
-        table = np.concatenate(self._matches)
-        return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
+        track, bias, variance = zip(*self._matches, strict=True)
+        return np.concatenate(track), np.concatenate(bias), np.concatenate(variance)
 
     def _advance(self, state: JointState, frame: Frame) -> Step:
         """Take a state over a frame; a function of its arguments alone, so that it can be done again."""
         if not frame.keyframe:
             return self._passed(state, frame)
         usable = frame.stereo.usable
-        rows = _places(state.track, frame.stereo.track)
+        rows = self._matched(state, frame)
         staying = self._staying(state, rows)
         if not staying.all():
             state.keep(staying)
@@ -187,10 +189,10 @@ class EkfEstimator:
         self._initialise(state, frame, new)
         if self._options.smoothed or self._last is not None:
             state.note_pose()
-        used, all_gated = new, np.zeros(len(frame.stereo.track), bool)
+        used, all_gated = new, np.zeros(len(usable), bool)
         used[rows[fused]] = True
         all_gated[rows[gated]] = True
-        dof = 3 * int(fused.sum())
+        dof = 3 * int(np.count_nonzero(fused))
         # Weighted innovations are no chi-square numbers, nor is their density a Gaussian's.
         gaussian = self._problem.kernel is None
         nis, density = (0.0, 0.0) if update is None else (update.nis, _log_density(update, dof))
@@ -227,6 +229,15 @@ class EkfEstimator:
         by = np.zeros((len(slots), self._layout.landmark, 2))
         by[:, :COORDINATES] = view.drift_step(self._track_noise.drift)
         state.note(StateNoise(k, DRIFT, self._layout.size, by, slots))
+
+    def _matched(self, state: JointState, frame: Frame) -> IntArray:
+        """Where in the frame the landmarks ``(n,)`` are, -1 for none; the last answer is kept."""
+        given = state.track, frame.stereo.track
+        track, in_frame, rows = self._match
+        if track is not given[0] or in_frame is not given[1]:
+            rows = _places(*given)
+            self._match = (*given, rows)
+        return rows
 
     def _staying(self, state: JointState, rows: IntArray) -> BoolArray:
         """Landmarks that are kept: those in view (``rows`` not -1), and the most recently observed others."""
@@ -368,9 +379,9 @@ class EkfEstimator:
     def _record_marginalised(self, seen: BoolArray) -> None:
         """Record the estimates of landmarks before they are marginalised."""
         state, left = self.state, np.flatnonzero(~seen)
-        self._matches.append(
-            np.column_stack([state.track[left], state.landmarks[left, 3], state.variances()[left, 3]])
-        )
+        if not len(left) and self._matches:
+            return
+        self._matches.append((state.track[left], state.landmarks[left, 3], state.bias_variances(left)))
         if self._filtered_map:
             self._left.append(backward.filtered_landmarks(state, left))
 
@@ -426,9 +437,10 @@ def _places(track: IntArray, in_frame: IntArray) -> IntArray:
     """Where in a frame tracks ``(n,)`` are; -1 for those it does not have."""
     if not len(in_frame):
         return np.full(len(track), -1)
-    order = np.argsort(in_frame)
-    place = order[np.minimum(np.searchsorted(in_frame, track, sorter=order), len(order) - 1)]
-    return np.where(in_frame[place] == track, place, -1)
+    order = in_frame.argsort()
+    place = order.take(in_frame.searchsorted(track, sorter=order), mode="clip")
+    place[in_frame[place] != track] = -1
+    return place
 
 
 def _note_noise(state: JointState, found: Sequence[Measurement], *, k: int) -> None:
@@ -442,4 +454,4 @@ def _note_noise(state: JointState, found: Sequence[Measurement], *, k: int) -> N
 
 
 def _log_density(update: Correction, dof: int) -> float:
-    return -0.5 * (update.nis + update.log_det + dof * float(np.log(2.0 * np.pi)))
+    return -0.5 * (update.nis + update.log_det + dof * _LOG_2_PI)

@@ -22,7 +22,7 @@ from vislam.base.errors import DivergedError
 from vislam.base.types import Array, BoolArray, IntArray
 from vislam.models.odometry import POSE
 
-_BLOCK = 128
+_BLOCK = 64
 _LOWER = np.tri(_BLOCK, k=-1, dtype=bool)
 _FEW = 16
 """Rows of a measurement up to which reading and writing the covariance takes longer than the product."""
@@ -325,7 +325,7 @@ class Update(Correction):
     @property
     def log_det(self) -> float:
         """Logarithm of the determinant of S."""
-        return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
+        return 2.0 * float(np.log(self.factor.diagonal()).sum())
 
     @property
     def correction(self) -> Array:
@@ -407,7 +407,7 @@ def mirror(upper: Array) -> Array:
     for start in range(0, len(upper), _BLOCK):
         own = slice(start, start + _BLOCK)
         block = upper[own, own]
-        block[_LOWER[: len(block), : len(block)]] = block.T[_LOWER[: len(block), : len(block)]]
+        np.copyto(block, block.T, where=_LOWER[: len(block), : len(block)])
         upper[own.stop :, own] = upper[own, own.stop :].T
     return upper
 
@@ -427,9 +427,10 @@ class Move(Step):
     def forward(self, cov: Array, noise: Array) -> None:
         """``F P F^T``, plus the ``noise (d_nav, d_nav)``."""
         nav = len(self.transition)
-        cov[:nav, nav:] = self.transition @ cov[:nav, nav:]
-        cov[nav:, :nav] = cov[:nav, nav:].T
-        cov[:nav, :nav] = self.transition @ cov[:nav, :nav] @ self.transition.T + noise
+        moved = self.transition @ cov[:nav]
+        cov[:nav, nav:] = moved[:, nav:]
+        cov[nav:, :nav] = moved[:, nav:].T
+        np.add(moved[:, :nav] @ self.transition.T, noise, out=cov[:nav, :nav])
 
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- F^T N F``."""

@@ -149,7 +149,7 @@ class Camera:
         self.add_rotation(by_nav, errors, by_nav[..., POSE])
         for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
             by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
-        return np.broadcast_to(anchor, (n, 4, 4)), landmarks, by_nav, by_measurement
+        return anchor[None].repeat(n, axis=0), landmarks, by_nav, by_measurement
 
     def add_rotation(self, by_state: Array, errors: CameraErrors, by_pose: Array) -> None:
         """Fill in the columns of the camera's rotation, if it is in use, from those of the pose.

@@ -198,7 +198,7 @@ class SmoothMotion(OdometryMotion):
         super().__init__(problem)
         assert problem.noise.acceleration is not None
         self._acceleration = problem.noise.acceleration
-        self._bias_walk = np.diag(problem.noise.bias_walk**2)
+        self._bias_walk, self._twist_noise = np.diag(problem.noise.bias_walk**2), problem.noise.twist**2
 
     def blocks(self) -> Mapping[str, Block]:
         """Blocks in use; the first twist has a weak prior at the first inertial sample."""
@@ -261,7 +261,7 @@ class SmoothMotion(OdometryMotion):
             late = frame.odometry.twist_change / frame.dt
             by_nav[:, layout[CLOCK]] = -late[:, None]
             predicted = predicted - late * nav[layout[CLOCK]]
-        variance = self._problem.noise.twist**2 / frame.dt
+        variance = self._twist_noise / frame.dt
         return [Measurement(frame.odometry.twist - predicted, by_nav, variance, TWIST), *found]
 
     def _by_acceleration(self, layout: NavLayout, nav: Array, dt: float, *, right: Array) -> Array:
@@ -278,8 +278,8 @@ class SmoothMotion(OdometryMotion):
         both = math.sqrt(3.0) * second
         half = 0.5 * se3.small_adjoint(nav[twist])
         out = np.zeros((layout.size, 12))
-        out[POSE, :6], out[layout["step"], :6] = right * first, _SIX * first
         by_second = _SIX - dt * half
+        out[POSE, :6], out[layout["step"], :6] = right * first, _SIX * first
         out[twist, :6], out[twist, 6:] = half * first + by_second * both, by_second * second
         return out
 

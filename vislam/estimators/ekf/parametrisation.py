@@ -60,7 +60,7 @@ class Parametrisation:
     def coordinates_jacobian(self, homogeneous: Array) -> Array:
         """Derivative ``(n, 3, 4)`` of :meth:`coordinates`."""
         scale = homogeneous[:, self.one, None, None]
-        out = np.broadcast_to(self._inverse, (len(homogeneous), 3, 4)) / scale
+        out = self._inverse / scale
         out[:, :, self.one] -= (homogeneous @ self._inverse.T) / scale[:, :, 0] ** 2
         return out
 
@@ -68,7 +68,8 @@ class Parametrisation:
         """Derivative ``(n, 3, 6)`` of the coordinates by a motion (omega, v) of the anchor frame."""
         homogeneous = self.homogeneous(q)
         # Of X by the motion, and of the coordinates by X with the component that is 1 held; w moves nothing.
-        by_x = np.repeat(self._inverse[None, :, :3], len(q), axis=0)
+        by_x = np.empty((len(q), 3, 3))
+        by_x[...] = self._inverse[:, :3]
         if self.one < _W:
             by_x[:, :, self.one] -= homogeneous @ self._inverse.T
         out = np.empty((len(q), 3, 6))

@@ -117,5 +117,5 @@ def reported(motion: Motion, layout: NavLayout, nav: Array, cov: Array) -> dict[
         Covariance of the whole state, the navigation state first.
     """
     names = [*motion.states, *(name for name in shared_errors.SIZES if name in layout)]
-    sigma = np.sqrt(np.diagonal(cov)[: layout.size])
-    return {name: State(nav[layout[name]].copy(), sigma[layout[name]]) for name in names}
+    variance = cov.diagonal()
+    return {name: State(nav[layout[name]].copy(), np.sqrt(variance[layout[name]])) for name in names}

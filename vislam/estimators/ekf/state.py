@@ -134,9 +134,11 @@ class JointState:
         """Landmarks ``(n, 4)`` at which the ``fej`` form takes Jacobians."""
         return np.column_stack([self.first[:, :3], self.landmarks[:, 3]])
 
-    def variances(self) -> Array:
-        """Variances of the landmarks, ``(n, 4)``; 0 for a stereo-matching bias that is not in the error."""
-        return self.of_landmarks(np.diagonal(self.cov))
+    def bias_variances(self, slots: IntArray) -> Array:
+        """Variances ``(n,)`` of stereo-matching biases of landmarks; 0 where they are not in the error."""
+        if self.layout.landmark < LANDMARK:
+            return np.zeros(len(slots))
+        return self.cov.diagonal()[self.layout.size :].reshape(-1, LANDMARK)[slots, -1]
 
     def of_landmarks(self, error: Array) -> Array:
         """Part of an error ``(d,)`` that is that of the landmarks, ``(n, 4)``."""
@@ -217,7 +219,8 @@ class JointState:
     def keep(self, mask: BoolArray) -> None:
         """Marginalise the landmarks outside the mask ``(n,)``: drop their rows and columns."""
         stays = np.flatnonzero(mask)
-        rows = np.concatenate([np.ones(self.layout.size, bool), np.repeat(mask, self.layout.landmark)])
+        rows = np.ones(len(self.cov), bool)
+        rows[self.layout.size :].reshape(-1, self.layout.landmark)[...] = mask[:, None]
         step, left = Keep(rows), None
         if self.steps is not None:
             # Later data speak of what has stayed alone, so its columns are all that the backward pass needs.
