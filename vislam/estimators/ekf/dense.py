@@ -181,7 +181,8 @@ class DenseFilter:
     def _shared(self, pose: Array) -> Array:
         """Derivative ``(m, 3, 6)`` of the coordinates by a motion of the world, as an error of the pose."""
         imu_to_anchor = se3.adjoint(se3.inverse(self.anchors) @ pose)
-        return self._camera.parametrisation.moved(self.landmarks[:, :3]) @ imu_to_anchor
+        in_anchor = self._camera.parametrisation.moved(self.landmarks[:, :3], np.eye(4))
+        return in_anchor @ imu_to_anchor
 
     def _slots(self, frame: Frame, rows: Sequence[int]) -> list[int]:
         return [self.track.index(int(frame.stereo.track[row])) for row in rows]

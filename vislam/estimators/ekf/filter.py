@@ -274,8 +274,9 @@ class EkfEstimator:
         if not good.any():
             return nothing, gated, None
         # From here on only of those that pass.
-        variance, distance = variance[good], distance[good]
-        part = innovation.of(good)
+        part = innovation
+        if not good.all():
+            variance, distance, part = variance[good], distance[good], innovation.of(good)
         update = part.update(self._weighted(part, variance, frame.k, distance=distance))
         # Gauss-Newton (Bell and Cathey, IEEE TAC 38, 1993): linearise where the correction leads, and again.
         for _ in range(self._options.iterations - 1):

@@ -458,30 +458,43 @@ class Reset(Step):
 
     def forward(self, cov: Array) -> None:
         """``M P M^T``."""
-        if self.rest is not None:
-            # With B filled up by zeros, B P + (B P)^T + B P B^T as a single product.
-            b = np.concatenate([np.zeros((len(cov) - len(self.rest), 6)), self.rest])
-            half = cov[:, POSE] + 0.5 * (b @ cov[POSE, POSE])
-            left, right = np.concatenate([b, half], axis=1), np.concatenate([half, b], axis=1)
-            # In place where cov^T is of Fortran's order; what is added to it is as symmetric as cov.
-            out = dgemm(1.0, right.T, left.T, beta=1.0, c=cov.T, trans_a=1, overwrite_c=1)
-            if not np.may_share_memory(out, cov):
-                cov[...] = out.T
-        cov[POSE] = self.pose @ cov[POSE]
-        cov[:, POSE] = cov[:, POSE] @ self.pose.T
+        if self.rest is None:
+            cov[POSE] = self.pose @ cov[POSE]
+            cov[:, POSE] = cov[:, POSE] @ self.pose.T
+            return
+        # M = 1 + U E^T, E picking the pose: U (P E)^T + (P E) U^T + U E^T P E U^T as a single product.
+        by_pose = self._by_pose(len(cov))
+        half = cov[:, POSE] + 0.5 * (by_pose @ cov[POSE, POSE])
+        left, right = np.concatenate([by_pose, half], axis=1), np.concatenate([half, by_pose], axis=1)
+        # In place where cov^T is of Fortran's order; what is added to it is as symmetric as cov.
+        out = dgemm(1.0, right.T, left.T, beta=1.0, c=cov.T, trans_a=1, overwrite_c=1)
+        if not np.may_share_memory(out, cov):
+            cov[...] = out.T
 
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- M^T N M``."""
         information, vectors = after.information, after.vectors
-        information[POSE] = self.pose.T @ information[POSE]
-        information[:, POSE] = information[:, POSE] @ self.pose
-        vectors[POSE] = self.pose.T @ vectors[POSE]
-        if self.rest is not None:
-            nav = len(vectors) - len(self.rest)
-            information[POSE] += self.rest.T @ information[nav:]
-            information[:, POSE] += information[:, nav:] @ self.rest
-            vectors[POSE] += self.rest.T @ vectors[nav:]
+        if self.rest is None:
+            information[POSE] = self.pose.T @ information[POSE]
+            information[:, POSE] = information[:, POSE] @ self.pose
+            vectors[POSE] = self.pose.T @ vectors[POSE]
+            return after
+        by_pose = self._by_pose(len(vectors))
+        change = information @ by_pose
+        information[:, POSE] += change
+        change[POSE] += by_pose.T @ change
+        information[POSE] += change.T
+        vectors[POSE] += by_pose.T @ vectors
         return after
+
+    def _by_pose(self, size: int) -> Array:
+        """What is added to an error by its pose, ``M - 1 (d, 6)``; all other columns are zero."""
+        assert self.rest is not None
+        out = np.zeros((size, 6))
+        out[POSE] = self.pose
+        out.reshape(-1)[:36:7] -= 1.0
+        out[size - len(self.rest) :] = self.rest
+        return out
 
 
 @dataclass(frozen=True)

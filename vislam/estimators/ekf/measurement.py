@@ -123,9 +123,11 @@ class Camera:
         """
         errors, parametrisation, n = self.errors(nav), self.parametrisation, len(z)
         rig = self.actual(errors)
-        anchor, anchor_T_cam, anchor_T_imu = np.eye(4), world_T_imu @ rig.imu_T_cam, world_T_imu
+        world_T_cam = world_T_imu @ rig.imu_T_cam
         if parametrisation.anchored:
-            anchor, anchor_T_cam, anchor_T_imu = anchor_T_cam, anchor, rig.cam_T_imu
+            anchor, anchor_T_cam, imu_T_anchor = world_T_cam, np.eye(4), rig.imu_T_cam
+        else:
+            anchor, anchor_T_cam, imu_T_anchor = np.eye(4), world_T_cam, se3.inverse(world_T_imu)
         disparity = z[:, 0] - z[:, 1] - errors.disparity_offset
         per_disparity = 1.0 / (rig.fx * rig.baseline)
         in_camera = np.ones((n, 4))
@@ -145,7 +147,7 @@ class Camera:
             by_measurement[:, :3, 3] = by_measurement[:, :3, 1] * disparity[:, None]
             by_measurement[:, 3, 3] = 1.0
         by_nav = np.zeros((n, size, self.observed))
-        by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3]) @ se3.adjoint(anchor_T_imu)
+        by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3], imu_T_anchor)
         self.add_rotation(by_nav, errors, by_nav[..., POSE])
         for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
             by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns

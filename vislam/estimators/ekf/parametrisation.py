@@ -64,17 +64,28 @@ class Parametrisation:
         out[:, :, self.one] -= (homogeneous @ self._inverse.T) / scale[:, :, 0] ** 2
         return out
 
-    def moved(self, q: Array) -> Array:
-        """Derivative ``(n, 3, 6)`` of the coordinates by a motion (omega, v) of the anchor frame."""
+    def moved(self, q: Array, body_T_anchor: Array) -> Array:
+        """Derivative ``(..., n, 3, 6)`` of the coordinates by a motion (omega, v) of the world.
+
+        A motion ``exp(xi)`` of the points, told in the frame of a body, moves the point p in that frame by
+        ``omega x p + w v``, w being its last homogeneous coordinate: ``dp = (-hat(p), w 1) xi``.
+
+        Parameters
+        ----------
+        q : (..., n, 3)
+        body_T_anchor : (4, 4) or (n, 4, 4)
+        """
         homogeneous = self.homogeneous(q)
         # Of X by the motion, and of the coordinates by X with the component that is 1 held; w moves nothing.
-        by_x = np.empty((len(q), 3, 3))
+        by_x = np.empty((*q.shape, 3))
         by_x[...] = self._inverse[:, :3]
         if self.one < _W:
-            by_x[:, :, self.one] -= homogeneous @ self._inverse.T
-        out = np.empty((len(q), 3, 6))
-        np.matmul(by_x, so3.hat(-homogeneous[:, :3]), out=out[:, :, :3])
-        np.multiply(by_x, homogeneous[:, _W, None, None], out=out[:, :, 3:])
+            by_x[..., self.one] -= homogeneous @ self._inverse.T
+        in_body = (body_T_anchor[..., :3, :] @ homogeneous[..., None])[..., 0]
+        by_body = by_x @ np.swapaxes(body_T_anchor[..., :3, :3], -1, -2)
+        out = np.empty((*q.shape, 6))
+        np.matmul(by_body, so3.hat(-in_body), out=out[..., :3])
+        np.multiply(by_body, homogeneous[..., _W, None, None], out=out[..., 3:])
         return out
 
     def points(self, q: Array) -> tuple[Array, Array]:

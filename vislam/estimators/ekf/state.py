@@ -264,7 +264,7 @@ class JointState:
         self.landmarks = landmarks + self.of_landmarks(error)
         if self.form == "standard":
             return None
-        kept = se3.adjoint(se3.inverse(self.world_T_imu) @ before)
+        kept = se3.adjoint(se3.exp(-error[POSE]))
         behind = np.empty((0, 6))
         if self.layout.moves:
             behind = self.layout.moved(self.nav) - self.layout.moved(nav_before)
@@ -273,12 +273,13 @@ class JointState:
             rest = np.zeros((len(self.cov) - nav, 6))
             return Reset(kept, np.concatenate([behind, rest]) if self.layout.moves else None)
         # What a motion of the world does to the coordinates, after the correction less before it.
-        n = len(landmarks)
-        both = self.parametrisation.moved(np.concatenate([self.landmarks[:, :3], landmarks[:, :3]]))
-        moved = both[:n] - both[n:]
-        change = np.zeros((len(landmarks), self.layout.landmark, 6))
-        change[:, :3] = moved @ se3.adjoint(se3.inverse(self.anchors) @ before)
-        return Reset(kept, np.concatenate([behind, change.reshape(-1, 6)]))
+        q = np.array([landmarks[:, :COORDINATES], self.landmarks[:, :COORDINATES]])
+        was, now = self.parametrisation.moved(q, se3.inverse(before) @ self.anchors)
+        change = now - was
+        if self.layout.landmark == LANDMARK:
+            change = np.concatenate([change, np.zeros((len(change), 1, 6))], axis=1)
+        change = change.reshape(-1, 6)
+        return Reset(kept, np.concatenate([behind, change]) if self.layout.moves else change)
 
     def note(self, step: Step) -> None:
         """Note a step for the backward pass, if steps are noted."""
