@@ -10,6 +10,10 @@ from vislam.base.types import Array
 _SMALL_ANGLE = 1e-3
 """Below this angle [rad] the coefficients come from their series: there the closed forms lose digits."""
 
+_GENERATORS = np.zeros((3, 9))
+"""Cross-product matrices of the three axes, row after row."""
+_GENERATORS[0, [7, 5]] = _GENERATORS[1, [2, 6]] = _GENERATORS[2, [3, 1]] = [1.0, -1.0]
+
 
 def hat(omega: Array) -> Array:
     """Cross-product matrix of a vector.
@@ -25,11 +29,7 @@ def hat(omega: Array) -> Array:
     if omega.ndim == 1:
         x, y, z = omega.tolist()
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    out = np.zeros((*omega.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -omega[..., 2], omega[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = omega[..., 2], -omega[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -omega[..., 1], omega[..., 0]
-    return out
+    return (omega @ _GENERATORS).reshape(*omega.shape, 3)
 
 
 def exp(omega: Array) -> Array:

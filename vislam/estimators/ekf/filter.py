@@ -167,7 +167,7 @@ class EkfEstimator:
         if not staying.all():
             state.keep(staying)
             rows = rows[staying]
-        slots = np.flatnonzero(rows >= 0)
+        slots = (rows >= 0).nonzero()[0]
         rows = rows[slots]
         state.see(slots, frame.k)
         before = state.nav
