@@ -83,7 +83,11 @@ class Step:
     @property
     def nbytes(self) -> int:
         """Memory that it holds [bytes]."""
-        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+        total = 0
+        for value in vars(self).values():
+            if type(value) is np.ndarray:
+                total += value.nbytes
+        return total
 
 
 @dataclass(frozen=True)
@@ -465,7 +469,7 @@ class Reset(Step):
         # M = 1 + U E^T, E picking the pose: U (P E)^T + (P E) U^T + U E^T P E U^T as a single product.
         by_pose = self._by_pose(len(cov))
         half = cov[:, POSE] + 0.5 * (by_pose @ cov[POSE, POSE])
-        left, right = np.concatenate([by_pose, half], axis=1), np.concatenate([half, by_pose], axis=1)
+        left, right = np.hstack([by_pose, half]), np.hstack([half, by_pose])
         # In place where cov^T is of Fortran's order; what is added to it is as symmetric as cov.
         out = dgemm(1.0, right.T, left.T, beta=1.0, c=cov.T, trans_a=1, overwrite_c=1)
         if not np.may_share_memory(out, cov):
@@ -516,9 +520,9 @@ class Append(Step):
         out[:size, :size] = cov
         cross = np.matmul(self.by_nav, cov[:seen], out=out[size:, :size])
         out[:size, size:] = cross.T
-        own = cross[:, :seen] @ self.by_nav.T
-        diagonal_blocks(own, noise.shape[1])[...] += noise
-        out[size:, size:] = own
+        own = np.matmul(cross[:, :seen], self.by_nav.T, out=out[size:, size:])
+        blocks = diagonal_blocks(own, noise.shape[1])
+        blocks += noise
         return out
 
     def back(self, after: Adjoint) -> Adjoint:

@@ -37,6 +37,7 @@ from vislam.models.shared_errors import CAMERA_ROTATION, OF_CAMERA
 _FARTHEST = 1e-9
 """Smallest w that a depth is taken of: what is farther, or beyond infinity, is very far."""
 _NO_ERRORS = CameraErrors()
+_IDENTITY = np.eye(4)
 
 
 @dataclass(frozen=True)
@@ -125,9 +126,9 @@ class Camera:
         rig = self.actual(errors)
         world_T_cam = world_T_imu @ rig.imu_T_cam
         if parametrisation.anchored:
-            anchor, anchor_T_cam, imu_T_anchor = world_T_cam, np.eye(4), rig.imu_T_cam
+            anchor, anchor_T_cam, imu_T_anchor = world_T_cam, _IDENTITY, rig.imu_T_cam
         else:
-            anchor, anchor_T_cam, imu_T_anchor = np.eye(4), world_T_cam, se3.inverse(world_T_imu)
+            anchor, anchor_T_cam, imu_T_anchor = _IDENTITY, world_T_cam, se3.inverse(world_T_imu)
         disparity = z[:, 0] - z[:, 1] - errors.disparity_offset
         per_disparity = 1.0 / (rig.fx * rig.baseline)
         in_camera = np.ones((n, 4))
@@ -148,9 +149,10 @@ class Camera:
             by_measurement[:, 3, 3] = 1.0
         by_nav = np.zeros((n, size, self.observed))
         by_nav[:, :3, POSE] = parametrisation.moved(landmarks[:, :3], imu_T_anchor)
-        self.add_rotation(by_nav, errors, by_nav[..., POSE])
-        for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
-            by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
+        if self._has_errors:
+            self.add_rotation(by_nav, errors, by_nav[..., POSE])
+            for name, columns in errors.by_pixel_errors(z, self.rig, self.layout).items():
+                by_nav[:, :3, self.layout[name]] = -by_measurement[:, :3, :3] @ columns
         return anchor[None].repeat(n, axis=0), landmarks, by_nav, by_measurement
 
     def add_rotation(self, by_state: Array, errors: CameraErrors, by_pose: Array) -> None:

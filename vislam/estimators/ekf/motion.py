@@ -338,6 +338,9 @@ def _across(frame: Frame) -> Array:
 
 def up_axis(tilt: Array) -> tuple[Array, Array]:
     """Up ``(3,)`` in a world tilted by ``(2,)`` [rad] about x and y, and its derivative ``(3, 2)``."""
-    omega = np.array([tilt[0], tilt[1], 0.0])
-    up = so3.exp(omega)[:, 2]
-    return up, (-so3.hat(up) @ so3.left_jacobian(omega))[:, :2]
+    x, y = tilt.tolist()
+    # With the left Jacobian J of omega = (x, y, 0), exp(omega) is 1 + hat(omega) J, and d up = (J d) x up.
+    a, b, c, d, e, f, g, h, i = so3.left_jacobian_entries(x, y, 0.0)
+    p, q, r = y * i, -x * i, 1.0 + x * f - y * c
+    by_tilt = [[d * r - g * q, e * r - h * q], [g * p - a * r, h * p - b * r], [a * q - d * p, b * q - e * p]]
+    return np.array([p, q, r]), np.array(by_tilt)

@@ -77,12 +77,12 @@ class Parametrisation:
         """
         homogeneous = self.homogeneous(q)
         # Of X by the motion, and of the coordinates by X with the component that is 1 held; w moves nothing.
-        by_x = np.empty((*q.shape, 3))
-        by_x[...] = self._inverse[:, :3]
-        if self.one < _W:
-            by_x[..., self.one] -= homogeneous @ self._inverse.T
         in_body = (body_T_anchor[..., :3, :] @ homogeneous[..., None])[..., 0]
-        by_body = by_x @ np.swapaxes(body_T_anchor[..., :3, :3], -1, -2)
+        turned = np.swapaxes(body_T_anchor[..., :3, :3], -1, -2)
+        by_body = self._inverse[:, :3] @ turned
+        if self.one < _W:
+            off = homogeneous @ self._inverse.T
+            by_body = by_body - off[..., None] * turned[..., None, self.one, :]
         out = np.empty((*q.shape, 6))
         np.matmul(by_body, so3.hat(-in_body), out=out[..., :3])
         np.multiply(by_body, homogeneous[..., _W, None, None], out=out[..., 3:])
