@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vislam.base.errors import DivergedError
-from vislam.estimators.ekf.linear import Adjoint, Jacobian, Update
+from vislam.estimators.ekf.linear import Adjoint, Jacobian, Update, symmetric_product
 from vislam.estimators.ekf.observed import WORTH, ObservedUpdate
 
 NAV, LANDMARKS = 9, 30
@@ -80,6 +80,14 @@ def test_both_take_the_adjoint_back_to_one(problem):
     expected, found = plain.back(adjoints[0]), observed.back(adjoints[1])
     close(found.information, expected.information)
     close(found.vectors, expected.vectors)
+
+
+@pytest.mark.parametrize("rows", [7, 512, 700])
+def test_half_a_symmetric_product_is_all_of_it(rows):
+    generator = np.random.default_rng(6)
+    left = generator.standard_normal((rows, 40))
+    right = left @ (root := generator.standard_normal((40, 40))) @ root.T
+    close(symmetric_product(right, left), right @ left.T)
 
 
 def test_it_is_taken_of_many_landmarks_of_three_coordinates_that_an_observation_shows():

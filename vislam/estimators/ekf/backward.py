@@ -108,6 +108,7 @@ class Recorder:
         self._stretches: list[_Stretch] = []
         self._dropped = 0
         self._held = 0
+        self._states = 0
         self.again = 0
         self.peak = 0
         self.latest: list[Step] = []
@@ -117,6 +118,7 @@ class Recorder:
         if not self._stretches or self._stretches[-1].full(self._memory):
             self._stretches.append(_Stretch(state.copy()))
             self._held += state.nbytes
+            self._states += state.nbytes
         current = self._stretches[-1]
         assert current.steps is not None
         state.steps = current.steps
@@ -144,7 +146,7 @@ class Recorder:
             else:
                 while stretch.steps:
                     yield stretch.steps.pop()
-        self._dropped = self._held = 0
+        self._dropped = self._held = self._states = 0
 
     def _make_room(self) -> None:
         while self._held > self._memory and self._dropped < len(self._stretches) - 1:
@@ -152,8 +154,7 @@ class Recorder:
             stretch.steps = None
             self._held -= stretch.nbytes
             self._dropped += 1
-            states = sum(stretch.before.nbytes for stretch in self._stretches)
-            if states > _STATES_SHARE * self._memory:
+            if self._states > _STATES_SHARE * self._memory:
                 self._thin_out()
 
     def _thin_out(self) -> None:
@@ -162,6 +163,7 @@ class Recorder:
         for first, second in zip(dropped[::2], dropped[1::2], strict=False):
             first.inputs += second.inputs
             self._held -= second.before.nbytes
+            self._states -= second.before.nbytes
         self._stretches = dropped[::2] + kept
         self._dropped = len(dropped[::2])
 

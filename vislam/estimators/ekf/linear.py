@@ -24,6 +24,8 @@ from vislam.models.odometry import POSE
 
 _BLOCK = 64
 _LOWER = np.tri(_BLOCK, k=-1, dtype=bool)
+_WIDE = 256
+"""Rows of a product that BLAS takes at full speed."""
 _FEW = 16
 """Rows of a measurement up to which reading and writing the covariance takes longer than the product."""
 
@@ -218,7 +220,7 @@ class Correction(Step):
         """``S^-1 innovation - K^T r`` and ``S^-1 + K^T N K``, from the adjoint after the measurement."""
         gain = self.gain
         seen = gain @ after.information
-        cov = seen @ gain.T
+        cov = symmetric_product(seen, gain)
         cov += self.inverse
         values = -(gain @ after.vectors)
         values[:, 0] += self.pull()
@@ -404,6 +406,19 @@ def squared_distances(cov: Array, variance: Array, value: Array) -> Array:
     y = y - of_y * x
     z = z - of_z * x - zy / second * y
     return np.asarray(x * x / first + y * y / second + z * z / third)
+
+
+def symmetric_product(left: Array, right: Array) -> Array:
+    """``A B^T (m, m)`` of matrices ``(m, k)`` whose product is symmetric: of many rows, one half is taken."""
+    rows = len(left)
+    if rows < 2 * _WIDE:
+        return left @ right.T
+    out = np.empty((rows, rows))
+    for start in range(0, rows, _WIDE):
+        own, stop = slice(start, start + _WIDE), min(start + _WIDE, rows)
+        np.matmul(left[own], right[:stop].T, out=out[own, :stop])
+        out[:start, own] = out[own, :start].T
+    return out
 
 
 def mirror(upper: Array) -> Array:
