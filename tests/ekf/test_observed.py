@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from vislam.base.errors import DivergedError
-from vislam.estimators.ekf.linear import Adjoint, Jacobian, Update, symmetric_product
+from vislam.estimators.ekf.linear import (
+    Adjoint,
+    Jacobian,
+    Update,
+    diagonal_blocks,
+    squared_distances,
+    symmetric_product,
+)
 from vislam.estimators.ekf.observed import WORTH, ObservedUpdate
 
 NAV, LANDMARKS = 9, 30
@@ -80,6 +87,17 @@ def test_both_take_the_adjoint_back_to_one(problem):
     expected, found = plain.back(adjoints[0]), observed.back(adjoints[1])
     close(found.information, expected.information)
     close(found.vectors, expected.vectors)
+
+
+def test_distances_are_those_of_a_solver():
+    generator = np.random.default_rng(7)
+    root = generator.standard_normal((9, 3, 3))
+    cov, variance, value = root @ root.transpose(0, 2, 1), generator.uniform(0.1, 1.0, (9, 3)), root[:, 0]
+    whole = np.zeros((27, 27))
+    diagonal_blocks(whole, 3)[...] = cov
+    found = squared_distances(diagonal_blocks(whole, 3), variance, value)
+    full = np.linalg.solve(cov + variance[:, :, None] * np.eye(3), value[:, :, None])[:, :, 0]
+    assert np.allclose(found, np.sum(value * full, axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [7, 512, 700])

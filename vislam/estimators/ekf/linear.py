@@ -235,7 +235,9 @@ class Correction(Step):
         size, seen = len(after.vectors), error.seen
         # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
         np.negative(seen, out=seen)
-        seen += 0.5 * self.jacobian.transposed_times(error.cov, size=size).T
+        half = self.jacobian.transposed_times(error.cov, size=size)
+        half *= 0.5
+        seen += half.T
         change = self.jacobian.transposed_times(seen, size=size)
         after.information += change
         after.information += change.T
