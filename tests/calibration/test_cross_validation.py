@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vislam.calibration.cross_validation import FOLDS, block_of, left_out, predicted
-from vislam.calibration.search import maximise
+from vislam.calibration.search import Bounds, Local, maximise
 
 
 @pytest.mark.parametrize("frames", [24, 107, 1000])
@@ -23,35 +23,32 @@ def test_a_short_recording_is_not_cross_validated():
     assert len(block_of(23)) == 0
 
 
-def test_one_step_is_the_maximum_without_the_fold():
-    """The mean of normal numbers, whose log likelihood is a square, so that the step is exact."""
-    values = np.random.default_rng(1).normal(3.0, 1.0, 200)
+def maximum_of(values, start, *, lowest):
+    """Maximum of the mean of normal numbers, whose log likelihood is a square, so that each step is exact."""
 
-    def evaluate(points):
-        return [-0.5 * (values - point[0]) ** 2 for point in points]
+    def differentiate(point):
+        scores = (values - point[0])[:, None]
+        return Local(point, -0.5 * float(np.sum(scores**2)), scores, np.array([[float(len(values))]]))
 
-    maximum = maximise(
-        evaluate,
-        np.zeros(1),
-        steps=np.array([0.1]),
-        lowest=np.array([-np.inf]),
-        largest=np.array([10.0]),
+    return maximise(
+        differentiate,
+        lambda points: [-0.5 * float(np.sum((values - point[0]) ** 2)) for point in points],
+        np.array([start]),
+        bounds=Bounds(lowest, np.array([10.0])),
     )
+
+
+def test_one_step_is_the_maximum_without_the_fold():
+    values, lowest = np.random.default_rng(1).normal(3.0, 1.0, 200), np.array([-np.inf])
+    maximum = maximum_of(values, 0.0, lowest=lowest)
     fold = block_of(200) % FOLDS == 2
-    found = left_out(maximum, fold, lowest=np.array([-np.inf]), largest=np.array([10.0]))
+    found = left_out(maximum, fold, lowest=lowest, largest=np.array([10.0]))
     assert found[0] == pytest.approx(values[~fold].mean(), abs=0.01)
 
 
 def test_a_parameter_at_its_lowest_value_stays_there():
-    values = np.random.default_rng(2).normal(-1.0, 1.0, 100)
-    lowest = np.array([0.5])
-    maximum = maximise(
-        lambda points: [-0.5 * (values - point[0]) ** 2 for point in points],
-        np.ones(1),
-        steps=np.array([0.1]),
-        lowest=lowest,
-        largest=np.array([10.0]),
-    )
+    values, lowest = np.random.default_rng(2).normal(-1.0, 1.0, 100), np.array([0.5])
+    maximum = maximum_of(values, 1.0, lowest=lowest)
     fold = block_of(100) % FOLDS == 0
     assert left_out(maximum, fold, lowest=lowest, largest=np.array([10.0])) == lowest
 

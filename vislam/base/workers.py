@@ -66,7 +66,7 @@ class Workers:
     """
 
     def __init__(self, processes: int, *, say: Callable[[str], None] = _log.warning) -> None:
-        self._processes, self._say = processes, say
+        self.processes, self._say = processes, say
         self._losses = 0
         self._running: dict[Future[Any], _Running] = {}
         self._start()
@@ -116,7 +116,7 @@ class Workers:
         waiting, suspects = deque(range(len(jobs))), set[int]()
         losses = Counter[int]()
         while waiting or self._running:
-            while waiting and len(self._running) < (1 if suspects else self._processes):
+            while waiting and len(self._running) < (1 if suspects else self.processes):
                 self._begin_one(work, waiting[0], jobs)
                 waiting.popleft()
             ended = wait(self._running, timeout=_TICK, return_when=FIRST_COMPLETED).done
@@ -169,15 +169,15 @@ class Workers:
         # What ends the workers is the end of this pipe: closed here, or by the death of this process.
         self._reader, self._lifeline = context.Pipe(duplex=False)
         self._started: set[BaseProcess] = set()
-        self._board = _Board(context.RawArray("q", self._processes), context.RawValue("b", 0))
+        self._board = _Board(context.RawArray("q", self.processes), context.RawValue("b", 0))
         self._pool = ProcessPoolExecutor(
-            self._processes, mp_context=context, initializer=_begin, initargs=(self._reader, self._board)
+            self.processes, mp_context=context, initializer=_begin, initargs=(self._reader, self._board)
         )
 
     def _begin_one(self, work: Callable[[Job], Answer], index: int, jobs: Sequence[Job]) -> None:
         """Hand a job to a process that has none, in a place of the board that is free."""
         taken = {one.place for one in self._running.values()}
-        place = next(place for place in range(self._processes) if place not in taken)
+        place = next(place for place in range(self.processes) if place not in taken)
         self._board.counts[place] = 0
         try:
             (future,) = self._submit(_in_place, [(work, place, jobs[index])])

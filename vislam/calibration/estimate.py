@@ -11,10 +11,10 @@ import numpy as np
 from vislam.base.types import Array
 from vislam.base.workers import Workers
 from vislam.calibration.candidates import Candidate, chosen_of, left_out_points, score_candidates
-from vislam.calibration.choices import finished, search, work_of
+from vislam.calibration.choices import finished, search
 from vislam.calibration.likelihood import Evaluator
 from vislam.calibration.parameters import MATCH, Parameter, at, scaled
-from vislam.calibration.reporter import Reporter
+from vislam.calibration.reporter import Reporter, Work
 from vislam.calibration.shared import with_priors, with_shared, without_shared
 from vislam.calibration.standstill import UNKNOWN, Standstill, standstill
 from vislam.comparison.config import Config
@@ -172,7 +172,7 @@ def _calibrate(
     began = time.monotonic()
     before = finished(evaluator.run(config))
     start = with_shared(config, searched=[item.name for item in chosen])
-    reporter.begin(work_of(start, chosen, evaluator), run=time.monotonic() - began)
+    reporter.begin(Work.of(len(chosen), processes=reporter.processes), run=time.monotonic() - began)
     searched = search(start, chosen, evaluator, reporter)
     current, run = _levelled(searched.config, evaluator, searched.run, reporter)
     # The pixel noise that was levelled belongs to each fold, too.

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsv
 from threadpoolctl import threadpool_limits
 
 from vislam.base.errors import DivergedError
@@ -18,8 +20,7 @@ from vislam.core.estimator import Problem
 from vislam.core.run import Run
 from vislam.estimators import loop
 from vislam.estimators.ekf import EkfEstimator, EkfOptions
-from vislam.estimators.ekf.scores import INPUTS, Scores, levels
-from vislam.estimators.ekf.state import JointState
+from vislam.estimators.ekf.linear import Correction
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
@@ -29,23 +30,8 @@ _OPTIONS = EkfOptions(
 """The consistent filter, without the backward pass: only innovations are wanted."""
 _SMOOTHED = EkfOptions(error="invariant", landmarks="anchored_uvd", smoothed=True)
 """As ``eks`` ships."""
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Some frames of a recording.
-
-    Attributes
-    ----------
-    begin, end : int
-        From ``begin`` to before ``end``.
-    state : JointState or None
-        Of the filter before the first of them; None before the first of all.
-    """
-
-    begin: int
-    end: int
-    state: JointState | None = None
+_PROBES = 24
+"""Random directions of a measurement in which covariances are compared: 276 pairs."""
 
 
 @dataclass(frozen=True)
@@ -59,23 +45,32 @@ class Gated:
         Tracks that have ended.
     matching_bias, variance : (m,)
         Their stereo-matching biases as the filter knows them, and the variances of these.
-    halves : tuple of Stretch
-        The whole recording, in two that do not wait for each other.
     """
 
     run: Run
     track: IntArray
     matching_bias: Array
     variance: Array
-    halves: tuple[Stretch, ...]
 
 
 @dataclass(frozen=True)
-class Scored:
-    """Log likelihood of each frame ``(T,)`` and its derivatives; minus infinity where the filter fails."""
+class Beside:
+    """The filter with a config, and with others that differ little from it.
+
+    Attributes
+    ----------
+    log_likelihood : (T,)
+        Of each frame with the config.
+    moved : (T, p)
+        With each of the others.
+    information : (p, p)
+        What of their predictions is another, as twice the divergence: with innovations ``v`` of covariance
+        ``S``, ``dv^T S^-1 dv + tr(S^-1 dS S^-1 dS) / 2`` over all frames.
+    """
 
     log_likelihood: Array
-    scores: Scores
+    moved: Array
+    information: Array
 
 
 @dataclass(frozen=True)
@@ -103,51 +98,31 @@ class Evaluator:
         """Run the filter with its gate, and ask for what it knows besides."""
         dataset = self._moved(config)
         solver = EkfEstimator(_problem(config, dataset), _OPTIONS)
-        frames = len(dataset.sequence)
-        middle, states = frames // 2, list[JointState]()
-
-        def passed(k: int) -> None:
-            if k + 1 == middle:
-                states.append(solver.state.copy())
-
-        run = _run(solver, dataset, config, None, on_frame=passed)
-        parts = [Stretch(0, middle), *(Stretch(middle, frames, state) for state in states)]
-        return Gated(run, *solver.matching_biases(), tuple(parts if states else [Stretch(0, frames)]))
-
-    def levels(self, config: Config) -> Array:
-        """Noise levels ``(LEVELS,)`` of a config that :meth:`scored` takes scores of."""
-        return levels(_problem(config, self._moved(config)))
-
-    def inputs(self, config: Config) -> Array:
-        """What is recorded of the motion ``(T, INPUTS)``, as a config has it; zeros with raw inertia."""
-        sequence = self._moved(config).sequence
-        if config.motion == "imu":
-            return np.zeros((len(sequence), INPUTS))
-        return np.nan_to_num(np.column_stack(sequence.step_means()))
-
-    def scored(
-        self, config: Config, others: Items[Config], *, usable: BoolArray, stretches: Items[Stretch]
-    ) -> tuple[Scored, list[Array]]:
-        """Score a config by the backward pass, and the log likelihoods of others beside it.
-
-        All are those of the frames of the stretches.
-        """
-        every = list(stretches)
-        jobs = self._jobs([config, *others], usable, every)
-        of_config = [replace(job, scored=True) for job in jobs[: len(every)]]
-        answers = self.map(_answer, [*of_config, *jobs[len(every) :]])
-        parts = answers[: len(every)]
-        scores = Scores(
-            np.concatenate([part.scores.levels for part in parts]),
-            np.concatenate([part.scores.inputs for part in parts]),
-        )
-        found = Scored(np.concatenate([part.log_likelihood for part in parts]), scores)
-        return found, _joined(answers[len(every) :], len(every))
+        run = _run(solver, dataset, config, None)
+        return Gated(run, *solver.matching_biases())
 
     def log_likelihoods(self, configs: Items[Config], *, usable: BoolArray) -> list[Array]:
         """Log likelihood of each frame ``(T,)`` under each config; minus infinity where the filter fails."""
-        whole = Stretch(0, len(self.dataset.sequence))
-        return self.map(_answer, self._jobs(configs, usable, [whole]))
+        return [
+            one.log_likelihood for one in self.map(_answer, [self._job([one], usable) for one in configs])
+        ]
+
+    def beside(self, config: Config, others: Items[Config], *, usable: BoolArray) -> Beside:
+        """Run the filter with a config and others that differ little from it.
+
+        The processes share the others; each has its own filter with the config, which gives the same.
+        """
+        many = 1 if self.workers is None else min(self.workers.processes, len(others))
+        parts = [list(part) for part in np.array_split(np.arange(len(others)), many)]
+        jobs = [self._job([config, *(others[index] for index in part)], usable) for part in parts]
+        found = self.map(_answer, jobs)
+        whitened = np.hstack([one.whitened for one in found])
+        sketch = np.hstack([one.sketch for one in found])
+        return Beside(
+            found[0].log_likelihood,
+            np.hstack([one.moved for one in found]),
+            whitened.T @ whitened + sketch.T @ sketch,
+        )
 
     def smoothed(self, configs: Items[Config]) -> list[tuple[Dataset, Run]]:
         """Run the smoothed filter with its gate for each config; each dataset is as its config has it."""
@@ -157,12 +132,8 @@ class Evaluator:
         """Answers to jobs, by the processes that share the work."""
         return [work(job) for job in jobs] if self.workers is None else self.workers.map(work, jobs)
 
-    def _jobs(self, configs: Items[Config], usable: BoolArray, stretches: Items[Stretch]) -> list["_Job"]:
-        jobs = []
-        for config in configs:
-            dataset = self._moved(config)
-            jobs += [_Job(dataset, config, usable, stretch) for stretch in stretches]
-        return jobs
+    def _job(self, configs: Items[Config], usable: BoolArray) -> "_Job":
+        return _Job([(self._moved(config), config) for config in configs], usable)
 
     def _moved(self, config: Config) -> Dataset:
         """Dataset with the clock and the disparities of a config, all other repairs as they were."""
@@ -189,60 +160,111 @@ def _problem(config: Config, dataset: Dataset) -> Problem:
     return replace(make_problem(config, dataset), kernel=None)
 
 
-def _run(
-    solver: EkfEstimator,
-    dataset: Dataset,
-    config: Config,
-    usable: BoolArray | None,
-    *,
-    on_frame: Callable[[int], None] = lambda k: None,
-) -> Run:
+def _run(solver: EkfEstimator, dataset: Dataset, config: Config, usable: BoolArray | None) -> Run:
     return loop.run(
         solver,
         dataset.sequence,
         pixel_sigma(config, dataset),
         name="ekf",
         usable=usable,
-        on_frame=on_frame,
         blas_threads=config.blas_threads,
     )
 
 
 @dataclass(frozen=True)
 class _Job:
-    """The filter over a stretch; ``usable (n,)`` are the observations that are fused."""
+    """The filter with some configs, frame by frame; ``usable (n,)`` are the observations that are fused."""
 
-    dataset: Dataset
-    config: Config
+    configs: list[tuple[Dataset, Config]]
     usable: BoolArray
-    stretch: Stretch
-    scored: bool = False
 
 
-def _answer(job: _Job) -> Array | Scored:
-    """Log likelihood of each frame of a stretch, and its derivatives where these are asked for."""
-    stretch, many = job.stretch, len(job.dataset.sequence)
-    options = replace(_OPTIONS, gate=False)
-    solver = EkfEstimator(_problem(job.config, job.dataset), options, scored=job.scored)
-    if stretch.state is not None:
-        solver.state = stretch.state.copy()
-    sigma = pixel_sigma(job.config, job.dataset)
-    frames = job.dataset.sequence.frames(sigma, job.usable, begin=stretch.begin, end=stretch.end)
-    found = Scores.none(many)
-    with threadpool_limits(job.config.blas_threads), np.errstate():
+@dataclass(frozen=True)
+class _Answer:
+    """Log likelihoods of the first config and of the others, and how these differ from it.
+
+    Attributes
+    ----------
+    log_likelihood : (T,)
+    moved : (T, p)
+    whitened : (N, p)
+        By how much the innovations differ, of all N rows, in units of their standard deviation.
+    sketch : (M, p)
+        Numbers whose inner products are those of what the covariances differ by, on average.
+    """
+
+    log_likelihood: Array
+    moved: Array
+    whitened: Array
+    sketch: Array
+
+
+def _answer(job: _Job) -> _Answer:
+    """Run the filters of a job side by side."""
+    solvers, frames = [], []
+    for dataset, config in job.configs:
+        options = replace(_OPTIONS, gate=False)
+        solvers.append(EkfEstimator(_problem(config, dataset), options, noted=len(job.configs) > 1))
+        frames.append(dataset.sequence.frames(pixel_sigma(config, dataset), job.usable))
+    values, whitened, sketch = [], list[Array](), list[Array]()
+    (dataset, config), others = job.configs[0], len(solvers) - 1
+    with threadpool_limits(config.blas_threads), np.errstate():
         try:
-            value = np.array([solver.process(frame).log_likelihood for frame in frames])
+            for at_once in zip(*frames, strict=True):
+                values.append(
+                    [one.process(frame).log_likelihood for one, frame in zip(solvers, at_once, strict=True)]
+                )
+                if others:
+                    first, *rest = (_corrections(one) for one in solvers)
+                    generator = np.random.default_rng(at_once[0].k)
+                    for update, *moved in zip(first, *rest, strict=True):
+                        found = _differences(update, moved, generator)
+                        whitened.append(found[0])
+                        sketch.append(found[1])
         except (DivergedError, np.linalg.LinAlgError):
-            value = np.full(stretch.end - stretch.begin, -np.inf)
-        else:
-            found = solver.scores(many) if job.scored else found
-    rows = slice(stretch.begin, stretch.end)
-    return Scored(value, Scores(found.levels[rows], found.inputs[rows])) if job.scored else value
+            values = [[-np.inf] * len(solvers)] * len(dataset.sequence)
+    log_likelihood, none = np.array(values), np.zeros((0, others))
+    return _Answer(
+        log_likelihood[:, 0],
+        log_likelihood[:, 1:],
+        np.concatenate([none, *whitened]),
+        np.concatenate([none, *sketch]),
+    )
 
 
-def _joined(parts: list[Array], each: int) -> list[Array]:
-    """Arrays, so many consecutive ones concatenated each."""
-    return [np.concatenate(parts[start : start + each]) for start in range(0, len(parts), each)]
+def _corrections(solver: EkfEstimator) -> list[Correction]:
+    """Corrections of the last frame."""
+    steps = solver.state.steps
+    assert steps is not None
+    return [one for one in steps if isinstance(one, Correction)]
+
+
+def _differences(
+    first: Correction, others: list[Correction], generator: np.random.Generator
+) -> tuple[Array, Array]:
+    """By what the predictions of a measurement differ from a first one.
+
+    Returns
+    -------
+    whitened : (m, p)
+        ``L^-1 (v_i - v)`` of innovations v, where ``L L^T`` is the first one's covariance S.
+    sketch : (M, p)
+        ``z^T L^-1 (S_i - S) L^-T z'`` for pairs of independent standard normal z. Products of these are
+        traces of products on average, so inner products of columns are
+        ``tr(S^-1 (S_i - S) S^-1 (S_j - S)) / 2``, without a matrix for each.
+    """
+    innovation, root = first.predicted()
+    moved = [one.predicted() for one in others]
+    probes = generator.standard_normal((len(innovation), _PROBES))
+    # One at a time, so that what each is does not depend on which others come along.
+    whitened = np.column_stack([dtrsv(root, value - innovation, lower=1) for value, _ in moved])
+    directions = solve_triangular(root, probes, lower=True, trans=1, check_finite=False)
+    own, pairs = probes.T @ probes, np.triu_indices(_PROBES, 1)
+    sketch = np.empty((len(pairs[0]), len(others)))
+    for column, (_, factor) in enumerate(moved):
+        seen = factor.T @ directions
+        sketch[:, column] = (seen.T @ seen - own)[pairs]
+    return whitened, sketch / np.sqrt(2.0 * len(pairs[0]))
 
 
 def _smoothed(job: tuple[Dataset, Config]) -> tuple[Dataset, Run]:

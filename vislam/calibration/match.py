@@ -14,7 +14,8 @@ from vislam.calibration.likelihood import Evaluator, Gated
 from vislam.comparison.config import Config
 
 _ITERATIONS = 4
-_RESTS = 0.01
+MATCH_RESTS = 0.5
+"""Change of the level, in its standard deviations, that ends its iterations."""
 _KNOWN = 0.5
 """A stereo-matching bias counts once its variance has fallen to this share of its initial value."""
 _FEWEST = 30
@@ -42,7 +43,7 @@ def matching_bias(config: Config, evaluator: Evaluator) -> MatchingBias:
         if not again.found:
             return replace(again, pixels=config.noise.matching_bias_px)
         before, level = level, again.pixels
-        if abs(level - before) < _RESTS * before:
+        if abs(level - before) <= MATCH_RESTS * again.sigma:
             break
     return again
 

@@ -12,6 +12,10 @@ from vislam.comparison.config import Config, NoiseConfig
 from vislam.repair.inertial import Clock
 from vislam.repair.pixels import DisparityOffset
 
+_SPAN = 100.0
+"""Steps over which curvature is measured."""
+_STEP = 5e-4
+"""Of the logarithm of a level."""
 _TINY = 1e-12
 """Logarithms are taken of no less."""
 _GYRO, _FORWARD, _LATERAL, _VERTICAL = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6)
@@ -32,7 +36,7 @@ class Parameter:
     logarithmic : bool
         A level, searched by its logarithm and never below ``lowest``; else an offset.
     step : float
-        Half the distance of the finite difference, in the searched scale.
+        Length of a finite difference, in the searched scale: a small part of what it will be known to.
     lowest : float
         Smallest level; a level that ends there is not needed by the data. 0: the level is always needed, and
         stays near where it was where the data do not tell it.
@@ -45,6 +49,11 @@ class Parameter:
     logarithmic: bool
     step: float
     lowest: float = -np.inf
+
+    @property
+    def span(self) -> float:
+        """Length over which the likelihood is seen to bend, in the searched scale."""
+        return _SPAN * self.step
 
     def searched(self, value: float) -> float:
         """Value in the searched scale."""
@@ -78,7 +87,7 @@ def parameters(
         _pixel("pixel_sigma_px", lowest=0.02),
         _pixel("drift_px", lowest=0.005),
         *(_RAW if raw else _ACROSS),
-        _of_step("clock", Clock, "offset", unit="s", step=2e-3),
+        _of_step("clock", Clock, "offset", unit="s", step=2e-5),
     ]
     if raw and inertial:
         found += _WALKS
@@ -97,7 +106,7 @@ def parameters(
     if config is not None and not raw and config.noise.vertical_velocity is not None:
         found.append(_HEIGHT_WALK)
     if disparity_offset:
-        found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=0.02))
+        found.append(_of_step("disparity_offset", DisparityOffset, "pixels", unit="px", step=2e-4))
     return found
 
 
@@ -108,7 +117,7 @@ def _pixel(name: str, *, lowest: float) -> Parameter:
     def write(config: Config, value: float) -> Config:
         return replace(config, noise=_changed(config.noise, {name: value}))
 
-    return Parameter(f"noise.{name}", "px", read, write, True, 0.03, lowest)
+    return Parameter(f"noise.{name}", "px", read, write, True, _STEP, lowest)
 
 
 def _density(name: str, part: slice, *, unit: str, lowest: float, of: str = "twist_density") -> Parameter:
@@ -123,7 +132,7 @@ def _density(name: str, part: slice, *, unit: str, lowest: float, of: str = "twi
         density[part] = density[part] * (value / mean) if mean > 0.0 else value
         return replace(config, noise=_changed(config.noise, {of: tuple(density.tolist())}))
 
-    return Parameter(f"noise.{of} ({name})", unit, read, write, True, 0.05, lowest)
+    return Parameter(f"noise.{of} ({name})", unit, read, write, True, _STEP, lowest)
 
 
 def _imu(name: str, *, unit: str) -> Parameter:
@@ -136,7 +145,7 @@ def _imu(name: str, *, unit: str) -> Parameter:
         changed: dict[str, Any] = {name: value}
         return replace(config, noise=_changed(config.noise, {"imu": replace(config.noise.imu, **changed)}))
 
-    return Parameter(f"noise.imu.{name}", unit, read, write, True, 0.05, 0.0)
+    return Parameter(f"noise.imu.{name}", unit, read, write, True, _STEP, 0.0)
 
 
 def _changed(noise: NoiseConfig, values: dict[str, Any]) -> NoiseConfig:
@@ -176,7 +185,7 @@ def _height_walk() -> Parameter:
             ),
         )
 
-    return Parameter("noise.vertical_velocity.walk", "m/sqrt(s)", read, write, True, 0.05, 1e-3)
+    return Parameter("noise.vertical_velocity.walk", "m/sqrt(s)", read, write, True, _STEP, 1e-3)
 
 
 _HEIGHT_WALK = _height_walk()
@@ -196,7 +205,7 @@ MATCH = _pixel("matching_bias_px", lowest=0.02)
 """The stereo-matching bias, not searched but read off the filter (``vislam.calibration.match``)."""
 
 
-_LARGEST_LOG, _LARGEST_STEPS = 0.7, 10.0
+_LARGEST_LOG, _LARGEST_STEPS = 0.7, 1000.0
 
 
 def lowest_of(items: list[Parameter]) -> Array:

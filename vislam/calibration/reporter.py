@@ -10,11 +10,11 @@ from vislam.comparison.config import Config
 
 CHOICES = 3
 """How often the gate may choose the observations."""
-_SCORES, _CHOICES = 12, 2
-"""What a search takes as a rule, beside two rounds of differences."""
-_SCORED = 1.6
-"""Time of a run with its backward pass, over that of a plain run."""
-_SHARED, _ALONE = 13.0, 2.0
+_ROUNDS, _CHOICES, _MATCHES = 6, 2, 3
+"""Rounds, choices and iterations of the matching bias that a search takes as a rule."""
+_COMPARED = 1.25
+"""Time of a run whose predictions are compared with another's, over that of the filter before."""
+_SHARED, _ALONE = 20.0, 3.0
 """Runs that what was found is scored by, side by side and one after the other."""
 
 
@@ -34,10 +34,10 @@ class Work:
     alone: float
 
     @classmethod
-    def of(cls, parameters: int, *, others: int) -> "Work":
-        """Of so many parameters, of which some others take two runs for each score."""
-        differences = 2 * (2 * parameters + 2) + parameters
-        return cls(differences + _SCORES * (_SCORED + 2 * others) + _SHARED, 4 + _CHOICES + _ALONE)
+    def of(cls, parameters: int, *, processes: int) -> "Work":
+        """Of so many parameters, of which each process compares some with a run of its own."""
+        round_ = _COMPARED * (parameters + min(processes, parameters))
+        return cls(_ROUNDS * round_ + parameters + 2 * _CHOICES + _SHARED, 1 + _MATCHES + _CHOICES + _ALONE)
 
     def seconds(self, run: float, *, processes: int) -> float:
         """Time of it, where a run takes so long [s]."""
@@ -73,9 +73,9 @@ class Reporter:
             f"the filter of {run:.2g} s, {self.processes} side by side"
         )
 
-    def round(self, config: Config, ended: Round, *, choice: int, by: str) -> None:
-        """Report a round by scores or by differences that has ended with this config."""
-        where = f"choice {choice} of at most {CHOICES}, round {ended.number} by {by}"
+    def round(self, config: Config, ended: Round, *, choice: int) -> None:
+        """Report a round that has ended with this config."""
+        where = f"choice {choice} of at most {CHOICES}, round {ended.number}"
         left = self._expected - (time.monotonic() - self._began)
         remains = f"about {_duration(left)} left" if left > 0.0 else "takes longer than searches do as a rule"
         self.keep(config, where)

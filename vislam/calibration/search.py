@@ -1,30 +1,66 @@
-"""Maximum of a likelihood that is a sum over frames, by finite differences of few points.
+"""Maximum of a likelihood that is a sum over frames, by scoring with secants.
 
-Two runs a parameter give the score of each frame and the curvature along that parameter. The curvatures and
-the correlations of the scores make up the information, and Newton's step with it is damped as far as needed.
-The standard deviations are those of the sandwich (Huber 1967; White 1982), which hold where the model does
-not.
+The score of each frame and the expected information come from one run of the filter for each parameter, a
+short step away, beside the run at the point itself (N. K. Gupta and R. K. Mehra, *Computational aspects of
+maximum likelihood estimation and reduction in sensitivity function calculations*, IEEE Trans. Autom. Control
+19 (1974) 774-783). Where the model does not hold, the likelihood is flatter along some directions than that
+information says; the changes of the score over the steps taken correct it (BFGS from the information of each
+point, a structured secant: Dennis, Gay and Welsch, ACM Trans. Math. Softw. 7 (1981) 348-368; Nocedal and
+Wright, *Numerical Optimization*, 2006, eq. 6.19). The standard deviations are those of the sandwich (Huber
+1967; White 1982), which hold where the model does not.
 """
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
+from vislam.base import linear
 from vislam.base.types import Array, BoolArray
 
-Evaluate = Callable[[list[Array]], list[Array]]
-"""From points ``(p,)`` to log likelihoods of each frame ``(T,)``."""
+Evaluate = Callable[[list[Array]], list[float]]
+"""From points ``(p,)`` to their log likelihoods."""
 
 _log = logging.getLogger("vislam.calibration")
 ROUNDS = 12
 """Rounds of a search, at most."""
-_DAMPING = (0.0, 0.3, 3.0)
-_TAIL = 3.0 * 1.4826
-"""Median absolute deviations of a normal distribution that are three standard deviations."""
-_SHARE = 0.5
-"""Share of the expected gain from which on a step is taken without a look at others."""
+_SHORTER = (0.5, 0.25, 0.125)
+"""Parts of a move that gains nothing that are tried in its place."""
+_LEAST = 0.05
+"""Share of the curvature that was expected along a step from which on what was found there is believed."""
+_NO_MOVE = 1e-9
+"""A box has an inside also where a level is at its lowest value."""
+_MAY_COST = 20.0
+"""Times the tolerance that a level may be worth by a parabola for its lowest value to be tried."""
+
+
+@dataclass(frozen=True)
+class Local:
+    """A likelihood at a point ``(p,)``, and what it is beside it.
+
+    Attributes
+    ----------
+    value : (p,)
+    log_likelihood : float
+        Of all frames; minus infinity where the filter fails.
+    scores : (T, p)
+        Score of each frame.
+    information : (p, p)
+        Expected information of all frames.
+    """
+
+    value: Array
+    log_likelihood: float
+    scores: Array
+    information: Array
+
+    @property
+    def gradient(self) -> Array:
+        """Score ``(p,)`` of all frames."""
+        return np.asarray(self.scores.sum(axis=0))
 
 
 @dataclass(frozen=True)
@@ -58,8 +94,8 @@ class Maximum:
         Standard deviation; infinite for parameters at their lowest value.
     log_likelihood : float
     rounds : int
-    scores : (T, p)
-        Score of each frame where the last round began.
+    began : Local
+        Where the last round began.
     information : (p, p)
         There, of all frames.
     """
@@ -68,159 +104,209 @@ class Maximum:
     sigma: Array
     log_likelihood: float
     rounds: int
-    scores: Array
+    began: Local
     information: Array
+
+    @property
+    def scores(self) -> Array:
+        """Score of each frame ``(T, p)`` where the last round began."""
+        return self.began.scores
+
+
+@dataclass
+class Secants:
+    """Moves ``(p,)`` and the changes of the score over them, the last of as many as there are parameters."""
+
+    pairs: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def add(self, before: Local, after: Local) -> None:
+        """Add the move from a point to another."""
+        self.pairs.append((after.value - before.value, before.gradient - after.gradient))
+        del self.pairs[: -len(before.value)]
+
+    def information(self, here: Local) -> Array:
+        """Information ``(p, p)`` at a point, that each of the moves has found what it did."""
+        found = here.information
+        for move, change in self.pairs:
+            found = _updated(found, move, change)
+        return found
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Of points ``(p,)``.
+
+    Attributes
+    ----------
+    lowest, largest : (p,)
+        Lowest values, minus infinity for none, and largest moves at once.
+    """
+
+    lowest: Array
+    largest: Array
+
+    def step(self, here: Local, information: Array, needed: BoolArray) -> tuple[Array, float]:
+        """Best step ``(p,)`` within the bounds for the quadratic of score and information, and its gain."""
+        inside, move = self.inside(here, needed), np.zeros(len(here.value))
+        if inside.any():
+            # In units of the standard deviation that each has alone, so that none is lost beside others.
+            matrix, scale = linear.scaled(information[np.ix_(inside, inside)])
+            root = np.linalg.cholesky(matrix)
+            wanted = solve_triangular(root, here.gradient[inside] / scale, lower=True)
+            least = np.maximum(-self.largest, self.lowest - here.value)[inside]
+            box = (np.minimum(least, -_NO_MOVE) * scale, self.largest[inside] * scale)
+            move[inside] = lsq_linear(root.T, wanted, box, method="bvls").x / scale
+        move = np.maximum(here.value + move, self.lowest) - here.value
+        return move, float(here.gradient @ move - 0.5 * move @ information @ move)
+
+    def inside(self, here: Local, needed: BoolArray) -> BoolArray:
+        """Parameters that are needed, and not held at their lowest value by the score."""
+        return needed & ~((here.value <= self.lowest + 1e-9) & (here.gradient < 0.0))
 
 
 def maximise(
+    differentiate: Callable[[Array], Local],
     evaluate: Evaluate,
     start: Array,
     *,
-    steps: Array,
-    lowest: Array,
-    largest: Array,
+    bounds: Bounds,
     tolerance: float = 0.5,
+    most: int = ROUNDS,
+    secants: Secants | None = None,
     on_round: Callable[[Round], None] = lambda ended: None,
 ) -> Maximum:
     """Search the maximum.
 
+    The last move is one that is expected to gain less than the tolerance, or that of the last round allowed;
+    its end is evaluated, not differentiated.
+
     Parameters
     ----------
+    differentiate : callable
+        Likelihood, scores and information at a point.
     evaluate : callable
     start : (p,)
-    steps : (p,)
-        Half of each finite difference.
-    lowest : (p,)
-        Bounds; -inf for none.
-    largest : (p,)
-        Largest move of a parameter in one round.
+    bounds : Bounds
     tolerance : float
-        The search ends when a round gains less log likelihood than this; a parameter whose lowest value costs
-        no more than this goes there, and stays.
+        Log likelihood that is worth another round. A level whose lowest value costs no more than this goes
+        there, and stays.
+    most : int
+        Rounds, at most.
+    secants : Secants, optional
+        Those of a search before, of nearly the same likelihood; this one adds to them.
     on_round : callable
-        Is given each round when it has ended.
+        Is given each round that has ended.
     """
-    point, needed = np.maximum(start, lowest), np.ones(len(start), bool)
-    for rounds in range(1, ROUNDS + 1):
-        scores, here, curvature = differences(evaluate, point, steps)
-        free = needed & ~((point <= lowest + 1e-9) & (scores.sum(axis=0) < 0.0))
-        candidates = [
-            np.maximum(point + np.clip(move, -largest, largest), lowest)
-            for move in _moves(scores, curvature, free)
-        ]
-        # Newton's own step, and the damped ones only where it gains less than half of what it should.
-        move = candidates[0] - point
-        values, should = [float(evaluate(candidates[:1])[0].sum())], _expected(move, scores, curvature)
-        at_maximum = 0.0 <= should < tolerance and bool((np.abs(move) < largest).all())
-        if not (at_maximum or values[0] - here >= max(_SHARE * should, 0.0)):
-            values += [float(part.sum()) for part in evaluate(candidates[1:])]
-        choice = int(np.argmax(values))
-        gain = values[choice] - here
-        _log.info("round %d: log likelihood %.1f, gain %.1f, at %s", rounds, here, gain, np.round(point, 3))
-        if gain > 0.0:
-            point, here = candidates[choice], values[choice]
-        rests, index = gain < tolerance, None
-        if rests:
-            # Towards its lowest value a level's score fades, so the search comes to rest short of it.
-            without = without_each(evaluate, point, lowest, here=here)
-            index = int(np.argmin(without)) if (without <= tolerance).any() else None
-        if index is not None:
-            point, needed[index], free[index] = point.copy(), False, False
-            point[index], here = lowest[index], here - without[index]
-        on_round(Round(rounds, point, here, max(gain, 0.0)))
-        if rests and index is None:
-            break
-    sigma = sigma_of(scores, curvature, free)
-    return Maximum(point, sigma, here, rounds, scores, information_of(scores, curvature))
+    secants = Secants() if secants is None else secants
+    here, needed = differentiate(np.maximum(start, bounds.lowest)), np.ones(len(start), bool)
+    for number in range(1, most + 1):
+        information = secants.information(here)
+        move, expected = bounds.step(here, information, needed)
+        _log.info("round %d: log likelihood %.1f, expected %.1f", number, here.log_likelihood, expected)
+        last = expected < tolerance or number == most
+        there = None if last else _better(here, move, differentiate, evaluate, secants)
+        if there is not None:
+            gain, here = there.log_likelihood - here.log_likelihood, there
+            on_round(Round(number, here.value, here.log_likelihood, gain))
+            continue
+        # Towards its lowest value a level's score fades, so the search comes to rest short of it.
+        levels = _dispensable(here.value, bounds, information, most=_MAY_COST * tolerance)
+        ends = [here.value + move, here.value + 0.5 * move]
+        without = [_at(here.value, index, bounds.lowest[index]) for index in levels]
+        values = evaluate([*ends, *without])
+        if levels and max(values[2:]) >= here.log_likelihood - tolerance and number < most:
+            index = levels[int(np.argmax(values[2:]))]
+            needed[index] = False
+            here = differentiate(_at(here.value, index, bounds.lowest[index]))
+            secants.pairs.clear()
+            on_round(Round(number, here.value, here.log_likelihood, 0.0))
+            continue
+        best = int(np.argmax(values[:2]))
+        gain = values[best] - here.log_likelihood
+        point = ends[best] if gain > 0.0 else here.value
+        reached = here.log_likelihood + max(gain, 0.0)
+        on_round(Round(number, point, reached, max(gain, 0.0)))
+        break
+    sigma = sigma_of(here.scores, here.information, bounds.inside(here, needed))
+    return Maximum(point, sigma, reached, number, here, here.information)
 
 
-def differences(evaluate: Evaluate, point: Array, steps: Array) -> tuple[Array, float, Array]:
-    """Scores ``(T, p)`` and curvatures ``(p,)`` by central differences, and the likelihood at the point."""
-    points = [point]
-    for index in range(len(point)):
-        for sign in (1.0, -1.0):
-            moved = point.copy()
-            moved[index] += sign * steps[index]
-            points.append(moved)
-    values = evaluate(points)
-    here, above, below = values[0], values[1::2], values[2::2]
-    slopes = [(up - down) / (2.0 * step) for up, down, step in zip(above, below, steps, strict=True)]
-    bends = [
-        (2.0 * here - up - down).sum() / step**2 for up, down, step in zip(above, below, steps, strict=True)
-    ]
-    scores = np.nan_to_num(np.column_stack(slopes), posinf=0.0, neginf=0.0)
-    return scores, float(here.sum()), np.nan_to_num(np.array(bends), posinf=0.0, neginf=0.0)
+def with_curvature(maximum: Maximum, evaluate: Evaluate, spans: Array) -> Maximum:
+    """Maximum whose information has the curvature of the likelihood along each parameter.
 
-
-def without_each(evaluate: Evaluate, point: Array, lowest: Array, *, here: float) -> Array:
-    """Log likelihood ``(p,)`` that each level costs at its lowest value; infinite where it is there.
+    The expected information is that of a model that holds. Its correlations are kept, and so is it along a
+    parameter by which the likelihood bends upwards.
 
     Parameters
     ----------
+    maximum : Maximum
     evaluate : callable
-    point, lowest : (p,)
-        A lowest value of minus infinity is that of an offset, or of a level that is not asked for.
-    here : float
-        Log likelihood at the point.
+    spans : (p,)
+        How far below, along each parameter, the likelihood is compared with its tangent.
     """
-    lost = np.full(len(point), np.inf)
-    above = np.flatnonzero(point > np.where(np.isfinite(lowest), lowest + 1e-9, np.inf))
-    if len(above):
-        candidates = np.tile(point, (len(above), 1))
-        candidates[np.arange(len(above)), above] = lowest[above]
-        lost[above] = [here - float(part.sum()) for part in evaluate(list(candidates))]
-    return lost
+    here = maximum.began
+    below = np.array(evaluate(list(here.value - np.diag(spans))))
+    curvature = 2.0 * (here.log_likelihood - here.gradient * spans - below) / spans**2
+    found = np.isfinite(curvature) & (curvature > 0.0)
+    ratio = np.where(found, curvature, 1.0) / np.where(found, np.diagonal(maximum.information), 1.0)
+    scale = np.sqrt(ratio)
+    information = scale[:, None] * maximum.information * scale
+    sigma = sigma_of(here.scores, information, np.isfinite(maximum.sigma))
+    return replace(maximum, sigma=sigma, information=information)
 
 
-def _moves(scores: Array, curvature: Array, free: BoolArray) -> list[Array]:
-    """Steps to try: Newton's with more and more damping."""
-    gradient, information = scores.sum(axis=0), information_of(scores, curvature)
-    moves = []
-    for damping in _DAMPING:
-        move = np.zeros(len(gradient))
-        inside = information[np.ix_(free, free)]
-        damped = inside + np.diag((damping + 1e-9) * np.diagonal(inside))
-        move[free] = np.linalg.solve(damped, gradient[free])
-        moves.append(move)
-    return moves
+def _better(
+    here: Local,
+    move: Array,
+    differentiate: Callable[[Array], Local],
+    evaluate: Evaluate,
+    secants: Secants,
+) -> Local | None:
+    """Where a move leads, or a part of it if it gains nothing; None if no part does."""
+    there = differentiate(here.value + move)
+    if np.isfinite(there.log_likelihood):
+        secants.add(here, there)
+    if there.log_likelihood > here.log_likelihood:
+        return there
+    shorter = [here.value + part * move for part in _SHORTER]
+    values = evaluate(shorter)
+    best = int(np.argmax(values))
+    if not values[best] > here.log_likelihood:
+        return None
+    there = differentiate(shorter[best])
+    secants.add(here, there)
+    return there
 
 
-def _expected(move: Array, scores: Array, curvature: Array) -> float:
-    """Gain of a move by the quadratic of gradient and information."""
-    return float(scores.sum(axis=0) @ move - 0.5 * move @ information_of(scores, curvature) @ move)
+def _dispensable(point: Array, bounds: Bounds, information: Array, *, most: float) -> list[int]:
+    """Levels whose lowest value may cost no more than so much.
 
-
-def _spread(scores: Array) -> Array:
-    """Sum of the outer products of the scores about their mean."""
-    centred = scores - scores.mean(axis=0)
-    return centred.T @ centred + 1e-12 * np.eye(scores.shape[1])
-
-
-def information_of(scores: Array, curvature: Array) -> Array:
-    """Information ``(p, p)``: curvatures on the diagonal, correlated as the scores are.
-
-    Where the likelihood bends upwards, the curvature is that of the scores.
+    A likelihood that is a parabola of the variance, of information J for the logarithm of the level, loses
+    J / 8 without it, and one that is flatter towards large variances loses more.
     """
-    spread = _spread(scores)
-    variance = np.diagonal(spread)
-    scale = np.sqrt(np.where(curvature > 0.0, curvature, variance) / variance)
-    return np.asarray(scale[:, None] * spread * scale)
+    above = np.isfinite(bounds.lowest) & (point > bounds.lowest + 1e-9)
+    return np.flatnonzero(above & (np.diagonal(information) / 8.0 < most)).tolist()
 
 
-def without_tails(scores: Array) -> Array:
-    """Scores ``(T, p)`` that are no farther from their median than three of their usual deviations.
-
-    Correlations of few frames with heavy tails are those of the frame that is farthest off.
-    """
-    away = scores - np.median(scores, axis=0)
-    most = _TAIL * np.median(np.abs(away), axis=0)
-    return np.where(most > 0.0, np.clip(away, -most, most), away)
+def _at(point: Array, index: int, value: float) -> Array:
+    moved = point.copy()
+    moved[index] = value
+    return moved
 
 
-def sigma_of(scores: Array, curvature: Array, free: BoolArray) -> Array:
+def _updated(information: Array, move: Array, change: Array) -> Array:
+    """Information that a move has found by how it changed the score, if that is any."""
+    expected = information @ move
+    if change @ move < _LEAST * (expected @ move):
+        return information
+    out = information - np.outer(expected, expected) / (expected @ move)
+    return np.asarray(out + np.outer(change, change) / (change @ move))
+
+
+def sigma_of(scores: Array, information: Array, free: BoolArray) -> Array:
     """Standard deviations ``(p,)`` by the sandwich; infinite for parameters that are not free."""
-    sigma = np.full(scores.shape[1], np.inf)
-    inside = np.ix_(free, free)
-    inverse = np.linalg.pinv(information_of(scores, curvature)[inside])
-    sigma[free] = np.sqrt(np.diagonal(inverse @ _spread(scores)[inside] @ inverse))
+    sigma, inside = np.full(scores.shape[1], np.inf), np.ix_(free, free)
+    centred = scores - scores.mean(axis=0)
+    inverse = np.linalg.pinv(information[inside])
+    sigma[free] = np.sqrt(np.diagonal(inverse @ (centred.T @ centred)[inside] @ inverse))
     return sigma

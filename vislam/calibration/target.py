@@ -1,28 +1,18 @@
 """The likelihood of a recording as a function of what is searched."""
 
-from collections.abc import Sequence as Items
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from vislam.base.types import Array, BoolArray
-from vislam.calibration.likelihood import Evaluator, Stretch
-from vislam.calibration.parameters import Parameter, at
+from vislam.calibration.likelihood import Evaluator
+from vislam.calibration.parameters import Parameter, at, largest_of, lowest_of, point_of
+from vislam.calibration.search import ROUNDS, Bounds, Local, Maximum, Round, Secants, maximise, with_curvature
 from vislam.comparison.config import Config
 
-
-@dataclass(frozen=True)
-class Point:
-    """A point ``(p,)``, the log likelihood of all frames there, and its score ``(T, p)`` by frame."""
-
-    value: Array
-    log_likelihood: float
-    scores: Array
-
-    @property
-    def gradient(self) -> Array:
-        """Score ``(p,)`` of all frames."""
-        return np.asarray(self.scores.sum(axis=0))
+TOLERANCE = 0.5
+"""Log likelihood that is worth another round, and that a level must be worth."""
 
 
 @dataclass(frozen=True)
@@ -37,68 +27,55 @@ class Target:
     evaluator : Evaluator
     usable : (n,)
         Observations that are fused.
-    stretches : sequence of Stretch
-        All frames, in parts that scores are taken of side by side.
     """
 
     begin: Config
     chosen: list[Parameter]
     evaluator: Evaluator
     usable: BoolArray
-    stretches: Items[Stretch] = ()
 
     def config(self, point: Array) -> Config:
         """Config of a point."""
         return at(self.begin, self.chosen, point)
 
-    def evaluate(self, points: list[Array]) -> list[Array]:
-        """Log likelihood ``(T,)`` of each frame at each point."""
-        return self.evaluator.log_likelihoods([self.config(point) for point in points], usable=self.usable)
+    def evaluate(self, points: list[Array]) -> list[float]:
+        """Log likelihood at each point; minus infinity where the filter fails."""
+        configs = [self.config(point) for point in points]
+        return [float(one.sum()) for one in self.evaluator.log_likelihoods(configs, usable=self.usable)]
 
-    def scored(self, value: Array) -> Point:
-        """Log likelihood and score at a point.
+    def differentiate(self, point: Array) -> Local:
+        """Log likelihood, scores and information at a point, by a step of each parameter."""
+        steps = np.array([item.step for item in self.chosen])
+        beside = [self.config(moved) for moved in point + np.diag(steps)]
+        found = self.evaluator.beside(self.config(point), beside, usable=self.usable)
+        if not all(np.isfinite(one).all() for one in (found.log_likelihood, found.moved)):
+            none = np.zeros((len(found.log_likelihood), len(point)))
+            return Local(point, -np.inf, none, np.eye(len(point)))
+        # The step's own curvature is taken out of the difference.
+        information = found.information / np.outer(steps, steps)
+        bend = 0.5 * steps * np.diagonal(information) / len(found.log_likelihood)
+        scores = (found.moved - found.log_likelihood[:, None]) / steps + bend
+        return Local(point, float(found.log_likelihood.sum()), scores, information)
 
-        The score of levels and of what moves the recorded motion is by the backward pass, that of all else by
-        differences.
-        """
-        levels, inputs, others = self.by_level(value), self.by_input(value), self.others(value)
-        rows = np.concatenate([np.arange(one.begin, one.end) for one in self.stretches])
-        moved = [self.config(there) for index in others for there in self._beside(value, index)]
-        found, values = self.evaluator.scored(
-            self.config(value), moved, usable=self.usable, stretches=self.stretches
+    def with_curvature(self, maximum: Maximum) -> Maximum:
+        """Maximum whose intervals are by the curvature of the likelihood, a run for each parameter."""
+        return with_curvature(maximum, self.evaluate, np.array([item.span for item in self.chosen]))
+
+    def maximum(
+        self,
+        *,
+        most: int = ROUNDS,
+        secants: Secants | None = None,
+        on_round: Callable[[Round], None] = lambda ended: None,
+    ) -> Maximum:
+        """Maximum from where it begins (:func:`vislam.calibration.search.maximise`)."""
+        return maximise(
+            self.differentiate,
+            self.evaluate,
+            point_of(self.begin, self.chosen),
+            bounds=Bounds(lowest_of(self.chosen), largest_of(self.chosen)),
+            tolerance=TOLERANCE,
+            most=most,
+            secants=secants,
+            on_round=on_round,
         )
-        scores = found.scores.levels @ levels
-        scores += np.einsum("ti,tip->tp", found.scores.inputs, inputs[rows])
-        for index, above, below in zip(others, values[::2], values[1::2], strict=True):
-            slope = (above - below) / (2.0 * self.chosen[index].step)
-            scores[:, index] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
-        return Point(value, float(found.log_likelihood.sum()), scores)
-
-    def others(self, value: Array) -> list[int]:
-        """Parameters that move neither levels of noise nor the recorded motion."""
-        moves = self.by_level(value).any(axis=0) | self.by_input(value).any(axis=(0, 1))
-        return np.flatnonzero(~moves).tolist()
-
-    def by_level(self, value: Array) -> Array:
-        """Derivative ``(LEVELS, p)`` of the logarithms of the noise levels by the parameters."""
-        columns = []
-        for index, item in enumerate(self.chosen):
-            above, below = (self.evaluator.levels(self.config(there)) for there in self._beside(value, index))
-            used = (above > 0.0) & (below > 0.0)
-            ratio = np.divide(above, below, out=np.ones(len(used)), where=used)
-            columns.append(np.log(ratio) / (2.0 * item.step))
-        return np.column_stack(columns)
-
-    def by_input(self, value: Array) -> Array:
-        """Derivative ``(T, INPUTS, p)`` of the recorded motion at all frames."""
-        found = []
-        for index, item in enumerate(self.chosen):
-            above, below = (self.evaluator.inputs(self.config(there)) for there in self._beside(value, index))
-            found.append((above - below) / (2.0 * item.step))
-        return np.stack(found, axis=-1)
-
-    def _beside(self, value: Array, index: int) -> tuple[Array, Array]:
-        """Points above and below, a step of a parameter away."""
-        step = np.zeros(len(value))
-        step[index] = self.chosen[index].step
-        return value + step, value - step

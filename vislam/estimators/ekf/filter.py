@@ -1,6 +1,5 @@
 """EKF SLAM, one frame at a time: marginalise, predict, gate, update, initialise."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +19,8 @@ from vislam.estimators.ekf.measurement import Camera, View
 from vislam.estimators.ekf.observability import Unobservable
 from vislam.estimators.ekf.observed import ObservedUpdate
 from vislam.estimators.ekf.options import EkfOptions
-from vislam.estimators.ekf.propagation import Measurement, reported
+from vislam.estimators.ekf.propagation import reported
 from vislam.estimators.ekf.reweighting import student_weights
-from vislam.estimators.ekf.scores import DRIFT, WHITE, MeasurementNoise, Scores, StateNoise, score
 from vislam.estimators.ekf.state import JointState
 from vislam.geometry import se3
 from vislam.models import TrackNoise
@@ -50,13 +48,13 @@ class EkfEstimator:
     ----------
     problem : Problem
     options : EkfOptions
-    scored : bool
-        Record what :meth:`scores` needs.
+    noted : bool
+        Keep the linear steps of the last frame in ``state.steps``.
     """
 
-    def __init__(self, problem: Problem, options: EkfOptions, *, scored: bool = False) -> None:
+    def __init__(self, problem: Problem, options: EkfOptions, *, noted: bool = False) -> None:
         self._problem = problem
-        self._scored = scored
+        self._noted = noted
         self._options = options
         self._independent = options.track_errors == "independent"
         self._track_noise = TrackNoise(0.0, 0.0, 0.0) if self._independent else problem.track_noise
@@ -80,7 +78,7 @@ class EkfEstimator:
         )
         self._recorder: Recorder | None = None
         self._filtered_map = options.marginalised_landmarks == "filtered"
-        if scored or not self._filtered_map:
+        if not self._filtered_map:
             self._recorder = Recorder(self._advance, memory=int(1e6 * options.memory_mb))
         self._meter = None
         if options.observability:
@@ -108,7 +106,8 @@ class EkfEstimator:
             steps = self._recorder.latest
         else:
             steps = []
-            self.state.steps = steps if self._meter is not None or self._last is not None else None
+            noted = self._noted or self._meter is not None or self._last is not None
+            self.state.steps = steps if noted else None
             record = self._advance(self.state, frame)
         if self._last is not None:
             self._last.follow(steps, self.state)
@@ -147,11 +146,6 @@ class EkfEstimator:
         assert self._recorder is not None
         return backward.smooth(self.state, self._recorder)
 
-    def scores(self, frames: int) -> Scores:
-        """Derivatives of the log likelihood over the frames; for an estimator that is ``scored``."""
-        assert self._recorder is not None
-        return score(self._recorder.backwards(), size=len(self.state.cov), frames=frames)
-
     def matching_biases(self) -> tuple[IntArray, Array, Array]:
         """Tracks that have ended, their stereo-matching biases and the variances of these, ``(m,)`` each."""
         track, bias, variance = zip(*self._matches, strict=True)
@@ -175,14 +169,9 @@ class EkfEstimator:
             state.nav = self._motion.first(self._layout, before, frame)
         else:
             state.predict(self._motion.propagate(self._layout, state.world_T_imu, before, frame))
-        if self._scored:
-            for entering in self._motion.entering(self._layout, before, frame):
-                state.note(entering)
         told = self._measure(state, frame)
         view = self._camera.view(state.world_T_imu, state.nav, state.anchors[slots], state.landmarks[slots])
         self._add_drift(state, view, slots)
-        if self._scored:
-            self._note_drift(state, view, slots, k=frame.k)
         fused, gated, update = self._fuse(state, view, frame, rows, allowed=usable[rows], slots=slots)
         new = usable.copy()
         new[rows] = False
@@ -223,12 +212,6 @@ class EkfEstimator:
         """Let the landmarks in view drift by a frame, each track for itself."""
         if self._track_noise.drift > 0.0:
             state.add_drift(slots, view.drift_cov(self._track_noise.drift))
-
-    def _note_drift(self, state: JointState, view: View, slots: IntArray, *, k: int) -> None:
-        """Note the drift of the landmarks in view, which scores are taken of."""
-        by = np.zeros((len(slots), self._layout.landmark, 2))
-        by[:, :COORDINATES] = view.drift_step(self._track_noise.drift)
-        state.note(StateNoise(k, DRIFT, self._layout.size, by, slots))
 
     def _matched(self, state: JointState, frame: Frame) -> IntArray:
         """Where in the frame the landmarks ``(n,)`` are, -1 for none; the last answer is kept."""
@@ -293,8 +276,6 @@ class EkfEstimator:
             change = update.correction - correction
             if (change**2 <= _CONVERGED**2 * np.diagonal(state.cov)).all():
                 break
-        if self._scored:
-            state.note(MeasurementNoise(frame.k, WHITE, slice(None), variance.reshape(-1)))
         state.correct(update)
         return good, gated, update
 
@@ -342,8 +323,6 @@ class EkfEstimator:
         spread = jacobian.times(projected.T)
         spread.reshape(-1)[:: len(spread) + 1] += np.concatenate([one.variance for one in found])
         update = Update.of(jacobian, projected, spread, innovation)
-        if self._scored:
-            _note_noise(state, found, k=frame.k)
         state.correct(update)
         return _log_density(update, len(innovation))
 
@@ -366,10 +345,6 @@ class EkfEstimator:
             noise=(by_measurement * variance[:, None, :]) @ by_measurement.transpose(0, 2, 1),
             seen_at=frame.k,
         )
-        if self._scored:
-            by = by_measurement[:, :, :3] * np.sqrt(variance[:, None, :3])
-            slots = np.arange(len(state.track) - len(rows), len(state.track))
-            state.note(StateNoise(frame.k, WHITE, self._layout.size, by, slots))
 
     def _variance(self, frame: Frame, rows: IntArray) -> Array:
         """Variances ``(n, 3)`` [px^2] of the white noise of measurements of a frame."""
@@ -442,16 +417,6 @@ def _places(track: IntArray, in_frame: IntArray) -> IntArray:
     place = order.take(in_frame.searchsorted(track, sorter=order), mode="clip")
     place[in_frame[place] != track] = -1
     return place
-
-
-def _note_noise(state: JointState, found: Sequence[Measurement], *, k: int) -> None:
-    """Note the noise of measurements of the motion, those of a level that scores are taken of."""
-    start = 0
-    for one in found:
-        rows = slice(start, start + len(one.innovation))
-        if one.level is not None:
-            state.note(MeasurementNoise(k, one.level, rows, one.variance))
-        start = rows.stop
 
 
 def _log_density(update: Correction, dof: int) -> float:

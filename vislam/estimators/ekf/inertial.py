@@ -25,7 +25,6 @@ from vislam.core.estimator import Inertia, Problem
 from vislam.core.frame import Frame
 from vislam.core.imu import ImuStep
 from vislam.estimators.ekf.layout import NavLayout
-from vislam.estimators.ekf.linear import Step
 from vislam.estimators.ekf.propagation import Block, Measurement, Propagation
 from vislam.geometry import se3, so3
 from vislam.models.imu import ACCEL_BIAS, GYRO_BIAS, IMU_NAV, STATES, VELOCITY
@@ -71,11 +70,6 @@ class InertialMotion:
         moved = (pose[:3, 3] - world_T_imu[:3, 3]) @ world_T_imu[:3, :3]
         prev_T_next = se3.from_rotation_translation(step.rotation, moved)
         return Propagation(prev_T_next, change, transition, noise)
-
-    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
-        """No score is taken of raw inertia."""
-        del layout, nav, frame
-        return ()
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame

@@ -193,6 +193,10 @@ class Correction(Step):
         """Variances ``(m,)`` of the white noise, ``S - H P H^T`` [px^2]."""
         raise NotImplementedError
 
+    def predicted(self) -> tuple[Array, Array]:
+        """Innovation ``(m,)`` and the lower Cholesky factor ``(m, m)`` of its covariance S."""
+        raise NotImplementedError
+
     @property
     def nis(self) -> float:
         """Normalised innovation squared."""
@@ -216,57 +220,24 @@ class Correction(Step):
         """What it says of quantities whose covariance with the state is ``rows (k, d)``."""
         raise NotImplementedError
 
-    def smoothing_error(self, after: Adjoint) -> "SmoothingError":
-        """``S^-1 innovation - K^T r`` and ``S^-1 + K^T N K``, from the adjoint after the measurement."""
-        gain = self.gain
-        seen = gain @ after.information
-        cov = symmetric_product(seen, gain)
-        cov += self.inverse
-        values = -(gain @ after.vectors)
-        values[:, 0] += self.pull()
-        return SmoothingError(values, cov, seen)
-
     def back(self, after: Adjoint) -> Adjoint:
         """``N <- H^T S^-1 H + (1 - K H)^T N (1 - K H)``, ``r <- H^T S^-1 innovation + (1 - K H)^T r``."""
-        return self.back_by(self.smoothing_error(after), after)
-
-    def back_by(self, error: "SmoothingError", after: Adjoint) -> Adjoint:
-        """Do what :meth:`back` does, from the smoothing error of the same adjoint, which is used up."""
-        size, seen = len(after.vectors), error.seen
+        size, gain = len(after.vectors), self.gain
+        seen = gain @ after.information
+        inner = symmetric_product(seen, gain)
+        inner += self.inverse
         # With V = (C + S^-1) H / 2 - K^T N, the sum of H^T V and its transpose is all that N changes by.
         np.negative(seen, out=seen)
-        half = self.jacobian.transposed_times(error.cov, size=size)
+        half = self.jacobian.transposed_times(inner, size=size)
         half *= 0.5
         seen += half.T
         change = self.jacobian.transposed_times(seen, size=size)
         after.information += change
         after.information += change.T
-        after.vectors += self.jacobian.transposed_times(error.values, size=size)
+        later = -(gain @ after.vectors)
+        later[:, 0] += self.pull()
+        after.vectors += self.jacobian.transposed_times(later, size=size)
         return after
-
-
-@dataclass(frozen=True)
-class SmoothingError:
-    """What later data say of the noise of a measurement of m rows (de Jong 1989).
-
-    Attributes
-    ----------
-    values : (m, 7)
-        ``u = S^-1 innovation - K^T r``, and ``-K^T Psi``.
-    cov : (m, m)
-        ``S^-1 + K^T N K``, the covariance of u.
-    seen : (m, d)
-        ``K^T N``.
-    """
-
-    values: Array
-    cov: Array
-    seen: Array
-
-    @property
-    def value(self) -> Array:
-        """``u``, ``(m,)``; R u is the smoothed noise of the measurement."""
-        return self.values[:, 0]
 
 
 @dataclass(frozen=True)
@@ -324,6 +295,11 @@ class Update(Correction):
         factor = np.tril(self.factor)
         by_state = self.jacobian.times((factor @ self.whitened_gain).T)
         return np.asarray(np.sum(factor**2, axis=1) - np.diagonal(by_state))
+
+    def predicted(self) -> tuple[Array, Array]:
+        """Innovation ``(m,)`` and the lower Cholesky factor ``(m, m)`` of its covariance S."""
+        factor = np.tril(self.factor)
+        return factor @ self.whitened, factor
 
     @property
     def nis(self) -> float:

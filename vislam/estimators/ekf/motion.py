@@ -18,17 +18,7 @@ from vislam.core.frame import Frame
 from vislam.core.step import TWIST_BIAS
 from vislam.estimators.ekf.inertial import InertialMotion
 from vislam.estimators.ekf.layout import LANDMARK, NavLayout
-from vislam.estimators.ekf.linear import Step
 from vislam.estimators.ekf.propagation import Block, Measurement, Motion, Propagation
-from vislam.estimators.ekf.scores import (
-    ACCELERATION,
-    HEIGHT,
-    OF_TWIST,
-    OF_VERTICAL_VELOCITY,
-    TWIST,
-    Input,
-    StateNoise,
-)
 from vislam.geometry import se3, so3
 from vislam.models import odometry, shared_errors
 from vislam.models.imu import STATES
@@ -64,15 +54,6 @@ class Height:
             change[height] = frame.dt * frame.odometry.vertical_velocity if known else 0.0
             walk = frame.dt * self._noise.walk**2
             noise[height, height] = walk if known else (frame.dt * UNKNOWN_VERTICAL_VELOCITY) ** 2
-
-    def entering(self, layout: NavLayout, frame: Frame) -> list[Step]:
-        """The vertical velocity, where it is known, and the walk of its integral."""
-        if self._noise is None or not np.isfinite(frame.odometry.vertical_velocity):
-            return []
-        by = np.full((1, 1, 1), np.sqrt(frame.dt) * self._noise.walk)
-        height = layout["height"].start
-        velocity = Input(frame.k, OF_VERTICAL_VELOCITY, height, np.array([[frame.dt]]))
-        return [StateNoise(frame.k, HEIGHT, height, by), velocity]
 
     def measurements(self, layout: NavLayout, world_T_imu: Array, nav: Array) -> list[Measurement]:
         """Measure the height of the pose by the integrated vertical velocity."""
@@ -137,18 +118,6 @@ class OdometryMotion:
         self._walk(layout, dt, noise)
         self._height.propagate(layout, frame, change, noise)
         return Propagation(step.prev_T_next, change, transition, noise)
-
-    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
-        """The twist and its white noise, and the height."""
-        if frame.k == 0:
-            return ()
-        by_bias = self._integrated(layout, nav, frame).by_bias
-        by_noise = by_bias * (self._problem.noise.twist / np.sqrt(frame.dt))
-        return [
-            StateNoise(frame.k, TWIST, POSE.start, by_noise[None]),
-            Input(frame.k, OF_TWIST, POSE.start, -by_bias),
-            *self._height.entering(layout, frame),
-        ]
 
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
@@ -231,18 +200,6 @@ class SmoothMotion(OdometryMotion):
         self._height.propagate(layout, frame, change, noise)
         return Propagation(prev_T_next, change, transition, noise)
 
-    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
-        """White noise of the acceleration, the first twist, which is known by as much, and the height."""
-        if frame.k == 0:
-            first, sigma = layout["twist"].start, np.sqrt(FIRST_TWIST_S) * self._acceleration
-            return [
-                StateNoise(0, ACCELERATION, first, np.diag(sigma)[None]),
-                Input(0, OF_TWIST, first, np.eye(6)),
-            ]
-        right = se3.right_jacobian(frame.dt * nav[layout["twist"]])
-        by = self._by_acceleration(layout, nav, frame.dt, right=right)
-        return [StateNoise(frame.k, ACCELERATION, 0, by[None]), *self._height.entering(layout, frame)]
-
     def measurements(
         self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame
     ) -> Sequence[Measurement]:
@@ -262,7 +219,7 @@ class SmoothMotion(OdometryMotion):
             by_nav[:, layout[CLOCK]] = -late[:, None]
             predicted = predicted - late * nav[layout[CLOCK]]
         variance = self._twist_noise / frame.dt
-        return [Measurement(frame.odometry.twist - predicted, by_nav, variance, TWIST), *found]
+        return [Measurement(frame.odometry.twist - predicted, by_nav, variance), *found]
 
     def _by_acceleration(self, layout: NavLayout, nav: Array, dt: float, *, right: Array) -> Array:
         """What white noise of the acceleration, of variance 1, does to the state over a step, ``(d, 12)``.

@@ -129,6 +129,10 @@ class ObservedUpdate(Correction):
         """``S^-1``, ``(m, m)``."""
         return self.precision
 
+    def predicted(self) -> tuple[Array, Array]:
+        """Innovation ``(m,)`` and the lower Cholesky factor ``(m, m)`` of its covariance S."""
+        return self.innovation, np.linalg.cholesky(np.linalg.inv(self.precision))
+
     @property
     def log_det(self) -> float:
         """Logarithm of the determinant of S."""

@@ -14,7 +14,6 @@ from vislam.base.types import Array
 from vislam.core.frame import Frame
 from vislam.core.step import State
 from vislam.estimators.ekf.layout import NavLayout
-from vislam.estimators.ekf.linear import Step
 from vislam.models import shared_errors
 
 
@@ -55,14 +54,11 @@ class Measurement:
     innovation : (m,)
     by_nav : (m, d)
     variance : (m,)
-    level : str or None
-        Level of the noise (:mod:`vislam.estimators.ekf.scores`) that a score is taken of; None for none.
     """
 
     innovation: Array
     by_nav: Array
     variance: Array
-    level: str | None = None
 
 
 class Motion(Protocol):
@@ -88,10 +84,6 @@ class Motion(Protocol):
 
     def propagate(self, layout: NavLayout, world_T_imu: Array, nav: Array, frame: Frame) -> Propagation:
         """Step to a frame from pose ``(4, 4)`` and navigation state ``nav (d,)`` at the one before."""
-        ...
-
-    def entering(self, layout: NavLayout, nav: Array, frame: Frame) -> Sequence[Step]:
-        """Noise and inputs of the step to a frame that scores are taken of; the state is that before it."""
         ...
 
     def measurements(
