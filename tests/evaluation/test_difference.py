@@ -48,6 +48,14 @@ def test_blocks_are_as_long_as_errors_stay(rng):
     assert np.isnan(few.low)
 
 
+def test_what_rounding_leaves_of_an_error_has_no_blocks(rng):
+    exact, other = 1e-15 * staying(rng, 400), staying(rng, 3)
+    found = ate_difference(errors(exact), errors(other))
+    assert found.blocks > 20
+    assert found.real
+    assert ate_difference(errors(1e14 * exact), errors(other)).blocks < 4
+
+
 @pytest.mark.statistical
 def test_luck_is_called_real_seldom_and_a_real_difference_mostly():
     rng = np.random.default_rng(5)

@@ -153,7 +153,7 @@ def test_a_filtered_and_a_smoothed_estimate_are_not_ranked(rng):
     # Ranked as they end, the smoother would have been the closest, and is where it meets its like.
     other = replace(pair[1], name="other", smoothed=pair[0].filtered)
     told = said([*pair, other], drive)[1]
-    assert told.startswith("Smoothed: late has 0.000 m; not told apart on this path is other (0.08")
+    assert told.startswith("Smoothed: late is best, 0.000 m; other is 0.088 m worse")
 
 
 def test_a_run_without_smoothed_poses_is_in_one_block(rng):

@@ -18,6 +18,8 @@ from vislam.evaluation.trajectory import AbsoluteErrors
 FEWEST_BLOCKS = 4.0
 """Blocks on a path below which nothing is said of a difference."""
 _DRAWS = 2000
+_ROUNDING = 1e-18
+"""Share of the other's squared errors below which those of a trajectory say nothing of its correlation."""
 _WIDER = 1.15
 """A block cuts correlations at its ends. For squares of exponential correlation and blocks of four times
 their length the variance of the bootstrap is 1 - (1 - exp(-4)) / 4 = 0.755 of the true one: intervals are
@@ -96,7 +98,10 @@ def _block_length(errors: tuple[Array, Array], squares: Array) -> int:
     count = squares.shape[1]
     apart = squares[0] - squares[1]
     correlated = count / effective_errors((apart - apart.mean())[:, None])
-    staying = count / min(effective_errors(part) for part in errors)
+    mean = squares.mean(axis=1)
+    # Of a trajectory that is right to the last digits what is left is rounding.
+    told = [part for part, size in zip(errors, mean, strict=True) if size > _ROUNDING * mean.max()]
+    staying = count / min(map(effective_errors, told))
     return int(np.ceil(min(max(2.0 * correlated, staying), count)))
 
 
