@@ -215,7 +215,7 @@ class ReportEkf:
         """Eq. (29)."""
         projected = jacobian @ self.cov
         spread = projected @ jacobian.T + np.diag(variance)
-        weighted = np.linalg.solve(spread, np.column_stack([projected, innovation]))
+        weighted = _solution(spread, np.column_stack([projected, innovation]))
         gain = weighted[:, :-1].T
         correction = gain @ innovation
         kept = np.eye(len(self.cov)) - gain @ jacobian
@@ -248,7 +248,7 @@ class ReportEkf:
         jacobian = np.concatenate([by_pose, by_point], axis=2)
         spread = jacobian @ self.cov[own[:, :, None], own[:, None, :]] @ jacobian.transpose(0, 2, 1)
         spread += variance[:, :, None] * np.eye(3)
-        weighted = np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]
+        weighted = _solution(spread, innovation[:, :, None])[:, :, 0]
         return np.asarray(np.sum(innovation * weighted, axis=1))
 
     def _append_independent(self, frame: Frame, rows: IntArray) -> None:
@@ -316,6 +316,14 @@ def _stacked(by_pose: Array, by_point: Array, slots: IntArray, *, size: int) -> 
     columns = NAV + 3 * slots[:, None] + np.arange(3)
     jacobian[np.arange(n)[:, None, None], np.arange(3)[:, None], columns[:, None, :]] = by_point
     return jacobian.reshape(3 * n, size)
+
+
+def _solution(spread: Array, right: Array) -> Array:
+    """Solution of ``spread x = right``; the least one where a filter that has diverged left it singular."""
+    try:
+        return np.asarray(np.linalg.solve(spread, right), float)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(spread) @ right, float)
 
 
 def _places(track: IntArray, wanted: IntArray) -> IntArray:

@@ -16,7 +16,7 @@ from vislam.estimators.ekf import EkfEstimator, EkfOptions
 from vislam.estimators.loop import run
 from vislam.geometry import se3
 from vislam.models import track_noise as noise
-from vislam_baselines.report_ekf import ReportEkf, ReportEkfOptions, build, circled_dot
+from vislam_baselines.report_ekf import ReportEkf, ReportEkfOptions, _solution, build, circled_dot
 
 MENDED = {
     "jacobian": "derived",
@@ -179,6 +179,16 @@ def test_a_covariance_that_is_none_any_more_is_not_claimed_and_the_run_goes_on()
     assert found.innovations.nis[7] == found.innovations.dof[7] == 0
     assert "no longer positive semi-definite" in found.log.events[0]
     assert "the first is 7" in found.log.events[0]
+
+
+def test_a_spread_that_is_singular_after_a_divergence_ends_no_run():
+    spread = np.stack([np.diag([2.0, 4.0, 8.0]), np.ones((3, 3)) * 1e14])
+    right = np.ones((2, 3, 1))
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.solve(spread, right)
+    found = _solution(spread, right)
+    assert np.allclose(found[0, :, 0], [0.5, 0.25, 0.125], rtol=1e-12)
+    assert np.allclose(spread[1] @ found[1], right[1], rtol=1e-9)
 
 
 def test_an_unknown_option_is_named():
