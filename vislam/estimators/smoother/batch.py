@@ -77,6 +77,8 @@ class Drive:
     frames : sequence of Frame
     tracks : list of Track
         Its landmarks; outliers are taken out of them.
+    others : gtsam.NonlinearFactorGraph, optional
+        All factors but the stereo ones; by default the model of motion makes them.
     """
 
     rig: StereoRig
@@ -84,18 +86,18 @@ class Drive:
     stereo: StereoFactors
     frames: Sequence[Frame]
     tracks: list[Track]
-    _without_tracks: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
+    others: gtsam.NonlinearFactorGraph | None = None
     _whole: gtsam.NonlinearFactorGraph | None = field(default=None, init=False)
     _objective: Objective | None = field(default=None, init=False)
 
     def without_tracks(self) -> gtsam.NonlinearFactorGraph:
         """All factors but the stereo ones; a graph that may be added to."""
-        if self._without_tracks is None:
-            self._without_tracks = gtsam.NonlinearFactorGraph()
+        if self.others is None:
+            self.others = gtsam.NonlinearFactorGraph()
             for k, frame in enumerate(self.frames):
                 for factor in self.motion.factors(frame, self.frames[k - 1] if k else None):
-                    self._without_tracks.add(factor)
-        return gtsam.NonlinearFactorGraph(self._without_tracks)
+                    self.others.add(factor)
+        return gtsam.NonlinearFactorGraph(self.others)
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """All factors, the stereo ones last; made once, and not to be added to."""

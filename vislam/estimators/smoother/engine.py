@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from vislam.base.types import Array
-from vislam.estimators.smoother.keys import thresholds
+from vislam.estimators.smoother.keys import is_landmark, thresholds
 from vislam.estimators.smoother.options import SmootherOptions
 from vislam.estimators.smoother.segments import Segments
 from vislam.estimators.smoother.tree import Ordered, solved
@@ -174,6 +174,14 @@ class WholeGraph(Ordered):
         found = solved(self._segments.tree(()).calculateBestEstimate)
         if self._anchor is not None:
             found.erase(self._anchor[1])
+        return found
+
+    def without_landmarks(self) -> gtsam.NonlinearFactorGraph:
+        """All factors that no landmark has."""
+        found = gtsam.NonlinearFactorGraph()
+        for factor in self.factors().values():
+            if not (isinstance(factor, gtsam.GenericStereoFactor3D) or any(map(is_landmark, factor.keys()))):
+                found.add(factor)
         return found
 
     @property

@@ -178,7 +178,7 @@ class SmootherEstimator:
             points = np.array([track.point for track in tracks]).reshape(-1, 3)
             points = self._world.points(origin, np.concatenate([past[1], points]))
         else:
-            drive = Drive(self._problem.rig, self._motion, self._stereo, self._frames, tracks)
+            drive = self._drive(tracks)
             values = self._finish(drive)
             if self._between.any:
                 drive, values = self._between.whole(drive, values)
@@ -214,6 +214,15 @@ class SmootherEstimator:
             fit=fit,
             lagged=lagged,
         )
+
+    def _drive(self, tracks: list[Track]) -> Drive:
+        """The problem that the estimate in the end is of."""
+        rig, others = self._problem.rig, None
+        if self._options.final == "relinearised" and not self._stereo.repeated:
+            # The factors of the tree, each with biases and shared errors as known when it came.
+            assert isinstance(self._solver.engine, WholeGraph)
+            others = self._solver.engine.without_landmarks()
+        return Drive(rig, self._motion, self._stereo, self._frames, tracks, others)
 
     def _lagged_poses(self) -> Array:
         """Poses ``(T, 4, 4)`` of a lag: as they were when they left it, and those that are still held."""
