@@ -4,12 +4,19 @@ import gtsam
 import numpy as np
 import pytest
 
+from tests.smoother.drives import drive
 from tests.smoother.ended import CASES, ended
-from vislam.estimators.smoother.keys import X
+from vislam.comparison.compare import make_problem, pixel_sigma
+from vislam.estimators.smoother import SmootherOptions, motion
+from vislam.estimators.smoother.batch import Drive
+from vislam.estimators.smoother.factors import StereoFactors
+from vislam.estimators.smoother.keys import X, landmark
 from vislam.estimators.smoother.layout import Variables, longest_eliminated
 from vislam.estimators.smoother.observations import Observations
+from vislam.estimators.smoother.tracks import Track, View
 from vislam.estimators.smoother.tree import tree_by_qr
 from vislam.estimators.smoother.values import only
+from vislam.geometry import se3
 
 
 @pytest.fixture(params=CASES)
@@ -151,3 +158,34 @@ def test_fronts_are_no_wider_the_longer_the_drive_is(name):
         held, values = ended(name, frames)
         widths.append(held.objective(values).width)
     assert widths[1] <= 1.2 * widths[0]
+
+
+def true_problem(frames):
+    """The problem of a drive of that many frames, linearised at the poses that it was simulated with."""
+    config, dataset = drive(seed=5, frames=frames, tracks_in_view=5, loss_probability=0.3, depth_max=30.0)
+    sequence, rig, values = dataset.sequence, dataset.sequence.rig, gtsam.Values()
+    poses = se3.inverse(dataset.reference.pose[0]) @ dataset.reference.pose
+    model = motion.make(make_problem(config, dataset), SmootherOptions())
+    given, tracks = list(sequence.frames(pixel_sigma(config, dataset))), {}
+    for frame in given:
+        model.predict(frame, poses[max(frame.k - 1, 0)])
+        model.insert(values, frame, poses[frame.k])
+        stereo = frame.stereo
+        for row in np.flatnonzero(stereo.usable).tolist():
+            track = tracks.setdefault(int(stereo.track[row]), Track(int(stereo.track[row])))
+            track.views.append(View(frame.k, stereo.z[row], stereo.sigma[row]))
+    seen = [track for track in tracks.values() if len(track.views) > 1]
+    for number, track in enumerate(seen):
+        point = rig.back_project(track.views[0].z[None])
+        track.key = landmark(number, float(point[0, 2]))
+        values.insert(track.key, se3.transform(poses[track.views[0].k] @ rig.imu_T_cam, point)[0])
+    return Drive(rig, model, StereoFactors(rig), given, seen), values
+
+
+def test_covariances_hold_however_far_a_drive_goes_from_the_pose_that_fixes_it():
+    held, values = true_problem(1200)
+    found, tree = held.marginals(values).poses, tree_by_qr(held.graph(), values)
+    for k in (1, 20, 600, 1199):
+        wanted = tree.marginalCovariance(X(k))
+        sigma = np.sqrt(np.diagonal(wanted))
+        assert np.abs((found[k] - wanted) / np.outer(sigma, sigma)).max() < 1e-6

@@ -89,6 +89,8 @@ class Factorisation:
         """Solution ``(n,)`` of the normal equations."""
         solution = np.zeros(len(self._place))
         for front in reversed(self._fronts):
+            if not front.right.size:
+                continue
             rest = front.right - front.across @ solution[front.columns[: front.stay]]
             solution[front.columns[front.stay :]] = blas.dtrsv(front.lower, rest, lower=1, trans=1)
         return solution
@@ -103,7 +105,7 @@ class Factorisation:
             front = self._fronts[number]
             at = self._place[front.columns[: front.stay]]
             known = sigma[np.ix_(at, at)]
-            inverse, _ = lapack.dtrtri(front.lower, lower=1)
+            inverse = lapack.dtrtri(front.lower, lower=1)[0] if front.right.size else front.lower
             back = inverse.T @ front.across
             cross = back @ known
             sigma = np.empty((len(front.columns), len(front.columns)))
@@ -118,6 +120,9 @@ class Factorisation:
 
 
 def _eliminated(columns: IntArray, stay: int, matrix: Array, vector: Array) -> Front:
+    if stay == len(columns):
+        # LAPACK takes no empty matrix: a frame whose variables are all eliminated last.
+        return Front(columns, stay, np.zeros((0, 0)), np.zeros((0, stay)), np.zeros(0))
     lower, info = lapack.dpotrf(matrix[stay:, stay:], lower=1, clean=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")

@@ -112,6 +112,10 @@ def longest_eliminated(first: IntArray, last: IntArray, frames: int) -> int:
 class Layout:
     """Columns of all that is not eliminated first, in the order of their elimination, front by front.
 
+    The newest frames come first, and the first pose, which its prior holds, last: a drive is fixed at that
+    end alone. In the order of time, covariances would come back from those of the whole drift, as small
+    differences of large numbers, and grow in error with each front.
+
     Parameters
     ----------
     variables : Variables
@@ -140,11 +144,12 @@ class Layout:
     """
 
     def __init__(self, variables: Variables, seen: Observations, *, frames: int, landmarks: int) -> None:
-        first, last = seen.span(landmarks)
+        newest = frames - 1
+        last, first = (newest - frame for frame in seen.span(landmarks))
         self.long = last - first >= longest_eliminated(first, last, frames)
         self.group = np.where(self.long, -1, first // _FRAMES)
         self.fronts = -(-frames // _FRAMES) + 1
-        of_variables = np.where(variables.lasting, self.fronts - 1, variables.frame // _FRAMES)
+        of_variables = np.where(variables.lasting, self.fronts - 1, (newest - variables.frame) // _FRAMES)
         self.front_of_point = np.where(self.long, last // _FRAMES, -1)
         front = np.concatenate(
             [variables.columns(of_variables), np.repeat(self.front_of_point[self.long], 3)]
@@ -160,6 +165,8 @@ class Layout:
         self.begin = front[order]
         self.begin[self.state] = variables.columns(variables.earliest(of_variables))
         self._tie(seen)
+        # Covariances with the first pose are asked for in all fronts.
+        self.begin[self.pose[0]] = 0
 
     @property
     def width(self) -> int:

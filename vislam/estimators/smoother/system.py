@@ -1,8 +1,9 @@
 """The normal equations of a whole drive, factorised: one Gauss-Newton step, and all marginals in one pass.
 
 Landmarks of short tracks are eliminated first (:mod:`vislam.estimators.smoother.schur`), all else front by
-front in order of time (:mod:`vislam.estimators.smoother.frontal`). A landmark that is seen for long would tie
-as many poses, of six columns each; it stays in the front for as long as it is seen, with three.
+front from the newest frame to the first (:mod:`vislam.estimators.smoother.frontal`). A landmark that is seen
+for long would tie as many poses, of six columns each; it stays in the front for as long as it is seen, with
+three.
 """
 
 from dataclasses import dataclass
