@@ -223,7 +223,7 @@ def test_the_best_so_far_is_written_after_each_round(small, monkeypatch, capsys)
     assert re.search(r"^it will take about \d+ (s|min): some \d+ runs of the filter of \S+ s, ", shown, re.M)
     for first, where, _ in seen:
         assert first == where
-        assert re.fullmatch(r"choice [123] of at most 3, round \d+ by (scores|differences)", where)
+        assert re.fullmatch(r"choice [123] of at most 3, round \d+", where)
         (line,) = [line for line in shown.splitlines() if line.startswith(f"{where}: ")]
         assert re.search(r": log likelihood \S+, gained \S+; (about \d+ (s|min) left|takes longer)", line)
     # It is the best so far that is kept, not where it began, and the end is marked no more.
