@@ -42,7 +42,7 @@ def test_the_optimum_is_gtsams(name):
     assert max(apart(held, ours.values, theirs.values)) < 1e-6
 
 
-def astray(held, values, rng, *, turn, move):
+def perturbed(held, values, rng, *, turn, move):
     """Values whose poses are off, so that Gauss-Newton alone raises the cost."""
     moved = gtsam.Values(values)
     for k in range(1, len(held.frames)):
@@ -56,7 +56,7 @@ def astray(held, values, rng, *, turn, move):
 )
 def test_from_far_away_each_iteration_is_gtsams_with_rejected_steps_and_all(name, turn):
     held, values = ended(name)
-    start = astray(held, values, np.random.default_rng(0), turn=turn, move=10.0 * turn)
+    start = perturbed(held, values, np.random.default_rng(0), turn=turn, move=10.0 * turn)
     solver = gtsam.LevenbergMarquardtOptimizer(held.graph(), start, gtsam.LevenbergMarquardtParams())
     objective, rejected = held.objective(values), 0
     at = first_step(objective, start)

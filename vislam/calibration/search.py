@@ -209,7 +209,7 @@ def maximise(
             gain, here = there.log_likelihood - here.log_likelihood, there
             on_round(Round(number, here.value, here.log_likelihood, gain))
             continue
-        # Towards its lowest value a level's score fades, so the search comes to rest short of it.
+        # Towards its lowest value a level's score fades, so the search stops short of it.
         levels = _dispensable(here.value, bounds, information, most=_MAY_COST * tolerance)
         ends = [here.value + move, here.value + 0.5 * move]
         without = [_at(here.value, index, bounds.lowest[index]) for index in levels]
@@ -262,7 +262,7 @@ def _better(
     evaluate: Evaluate,
     secants: Secants,
 ) -> Local | None:
-    """Where a move leads, or a part of it if it gains nothing; None if no part does."""
+    """Result of a move, or of a part of it if it gains nothing; None if no part does."""
     there = differentiate(here.value + move)
     if np.isfinite(there.log_likelihood):
         secants.add(here, there)

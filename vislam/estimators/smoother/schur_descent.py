@@ -23,7 +23,7 @@ _ENOUGH = 1e-3
 
 @dataclass(frozen=True)
 class Iteration:
-    """Where an iteration ended.
+    """Result of an iteration.
 
     Attributes
     ----------

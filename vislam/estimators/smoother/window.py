@@ -9,7 +9,7 @@ As long as what has left and what it is tied to keep their linearisation points,
 eliminated at once or later: the marginal of the rest is. So from the step on with which it leaves, a variable
 is not given any more and keeps its point, and its factors stay in the tree until those of some more steps are
 eliminated with them. In between a step touches what is newest; if each eliminated what leaves with it, the
-marginal would tie the oldest variables anew with each step, and all from there to the newest would be
+marginal would tie the oldest variables again with each step, and all from there to the newest would be
 eliminated again.
 """
 
